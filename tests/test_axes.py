@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from aerobalance.dynamics.coupled import RigidMass
+from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.recording.components import COMPONENTS, MOMENTS, VECTORS
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.frames import PLACEMENT, WIND_NAMES, Frame, ResolvedLoads, coefficients, wind_loads

@@ -10,7 +10,8 @@ from scipy.signal import lsim
 from scipy.stats import chi2
 
 from aerobalance.balance.weighing.model import WeightModel
-from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.components import COMPONENTS, MOMENTS
 from aerobalance.recording.gravity import weight_direction

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.force import estimate_force, force_record, noise_spectra
 from aerobalance.recording.channel import Array
@@ -15,7 +16,7 @@ from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.gravity import Attitudes, GravityOnZero
 from aerobalance.uncertainty.monte_carlo import monte_carlo
-from aerobalance.uncertainty.sampling import UncertainCoupled, standard_normals
+from aerobalance.uncertainty.sampling import UncertainDynamics, standard_normals
 from helpers.coupled_pair import COUNT, NOISE, RATE, SIZE, band, colored, pair, recording_of, shaken
 
 
@@ -88,7 +89,7 @@ def test_gaps_are_filled_in_the_draws_as_in_the_force(rng, seed) -> None:
 
 
 def draws(dynamics: CoupledDynamics, rows: np.ndarray, number: int) -> list[CoupledDynamics]:
-    unsure = UncertainCoupled.of(dynamics, rows)
+    unsure = UncertainDynamics.of(dynamics, rows)
     return [unsure.at(numbers) for numbers in standard_normals(np.random.default_rng(3), unsure.count, number)]
 
 

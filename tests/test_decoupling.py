@@ -9,7 +9,6 @@ import pytest
 from scipy.linalg import matrix_balance
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.recording.channel import Array
 from aerobalance.recording.resampling import EDGE, FINE, fractional_delay, upsample_compensated
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
@@ -47,7 +46,7 @@ def test_the_decoupled_channel_has_the_noise_of_the_coupled_inverse(
     frequency = np.geomspace(1, RATE / 2, 200)
     inverse = dynamics.inverse_response(frequency)
     for place, name in enumerate(dynamics.components):
-        decoupled = DecoupledChannel.of(dynamics, name, noise=noise)
+        decoupled = dynamics.decoupled(name, noise=noise)
         row = inverse[:, place]
         through_all = np.sqrt(np.real(np.einsum("mi,ij,mj->m", row, noise, row.conj())))
         alone = np.sqrt(noise[place, place]) / np.abs(decoupled.dynamics.response(frequency))
@@ -58,7 +57,7 @@ def test_the_decoupled_channel_has_the_noise_of_the_coupled_inverse(
 def test_a_component_by_itself_is_left_as_it_is() -> None:
     dynamics = CoupledDynamics(("NF", "AF"), np.diag([1e-6, 4e-6]), np.diag([1e-5, 2e-5]))
     loads = np.random.default_rng(1).normal(size=(100, 2))
-    decoupled = DecoupledChannel.of(dynamics, "AF", noise=np.diag([9.0, 1.0]))
+    decoupled = dynamics.decoupled("AF", noise=np.diag([9.0, 1.0]))
     assert decoupled.alone
     assert decoupled.dynamics.quadratic == pytest.approx((2e-5, 4e-6), rel=1e-13)
     assert (decoupled.reading(loads, interval=1e-4) == loads[:, 1]).all()
@@ -75,7 +74,7 @@ def test_the_decoupled_reading_knows_its_own_force_only(drawn: Drawn, rng) -> No
     lines[~inside] = 0
     felt = np.fft.irfft(np.einsum("mij,mj->mi", dynamics.response(frequency), lines), count, axis=0)
     for place, name in enumerate(dynamics.components):
-        decoupled = DecoupledChannel.of(dynamics, name, noise=_noise(balance))
+        decoupled = dynamics.decoupled(name, noise=_noise(balance))
         # the free oscillation of the start has to die away to exp(-17) = 4e-8, and then a period and the end follow
         periods = int(np.ceil(17 / decoupled.dynamics.decay_rate / (count / RATE))) + 2
         found = decoupled.reading(np.tile(felt, (periods, 1)), interval=1 / RATE)[-2 * count : -count]
@@ -93,7 +92,7 @@ def test_a_force_is_read_as_the_coupled_balance_felt_it(drawn: Drawn, rng) -> No
     net[:2500] *= np.sin(np.linspace(0, np.pi / 2, 2500))[:, None] ** 2  # at rest before, whatever that is taken for
     felt = dynamics.load_felt(upsample_compensated(net), interval=1 / RATE / FINE, every=FINE)
     for place, name in enumerate(dynamics.components):
-        decoupled = DecoupledChannel.of(dynamics, name, noise=_noise(balance))
+        decoupled = dynamics.decoupled(name, noise=_noise(balance))
         expected = decoupled.reading(felt, interval=1 / RATE)
         found = decoupled.response_to(net, interval=1 / RATE)[:, place]
         largest = np.abs(felt * (np.abs(dynamics.inertia[place, :6]) * (2 * np.pi * 300) ** 2 + 1)).max()
@@ -110,14 +109,14 @@ def test_slopes_are_those_of_differences(drawn: Drawn, rng) -> None:
     lines = rng.normal(size=(frequency.size, 6, 2)) @ np.array([1, 1j]) * balance.half_range
     lines[~inside] = 0
     loads = np.fft.irfft(lines, count, axis=0)
-    decoupled = DecoupledChannel.of(dynamics, "YM", noise=_noise(balance))
+    decoupled = dynamics.decoupled("YM", noise=_noise(balance))
     decays = [mode.damping_ratio * mode.angular_frequency for mode in (*decoupled.dynamics.modes, *decoupled.still)]
     periods = int(np.ceil(17 / min(decays) / (count / RATE))) + 2
     slopes = decoupled.parameter_slopes(np.tile(loads, (periods, 1)), interval=1 / RATE)[-2 * count : -count]
     # an internal coordinate has no unit of its own, and forces and moments differ in theirs: steps fit all only
     # in units that make the rows as large as the columns; without, some would make oscillations that grow
     unit = np.diag(matrix_balance(dynamics.inertia, permute=False)[1])
-    for number, own in zip(decoupled.rows(dynamics), slopes.T, strict=True):
+    for number, own in zip(decoupled.rows, slopes.T, strict=True):
         kind, i, j = np.unravel_index(number, (2, *dynamics.inertia.shape))
         name = ("inertia", "damping")[kind]
         own_size = float(np.sqrt(dynamics.inertia[i, i] * dynamics.inertia[j, j])) * unit[i] / unit[j]
@@ -160,7 +159,7 @@ def test_the_ends_of_a_record_are_as_good_as_its_middle(drawn: Drawn, rng) -> No
     turning = np.exp(2j * np.pi * 600 * time)[:, None]
     felt = np.real(turning * (response @ (size * np.exp(1j * phase))))
     for place, name in enumerate(dynamics.components):
-        decoupled = DecoupledChannel.of(dynamics, name, noise=_noise(balance))
+        decoupled = dynamics.decoupled(name, noise=_noise(balance))
         own = decoupled.dynamics.response(np.array([600.0]))[0] * size[place] * np.exp(1j * phase[place])
         error = decoupled.reading(felt, interval=1 / RATE) - np.real(turning[:, 0] * own)
         if decoupled.dynamics.decay_rate * time[-1] < 17:

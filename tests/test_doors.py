@@ -13,6 +13,7 @@ import pytest
 
 import aerobalance as ab
 from aerobalance.app.cli.program import main
+from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.estimation.checks.outliers import impossible_channels
 from aerobalance.estimation.force import estimate_force
 from aerobalance.io.dynamics_file import write_dynamics
@@ -24,6 +25,7 @@ from faults.cases import all_cases, dynamics
 from faults.scene import FREQUENCY, Record
 from faults.trials import recording_of as frames
 from faults.trials import worked_out
+from helpers.cable_cut import T128
 from helpers.coupled_pair import NOISE as PAIR_NOISE
 from helpers.coupled_pair import pair, recording_of, shaken
 
@@ -126,7 +128,7 @@ def test_an_angle_beyond_a_quarter_turn_is_told():
 @pytest.mark.parametrize("pitch", [np.pi / 2, -np.pi / 2, 0.3])
 def test_angles_that_can_be_are_not_told(pitch):
     given = Recording.from_arrays(np.arange(64) / RATE, {"AF": np.arange(64.0), "pitch": np.full(64, pitch)})
-    assert impossible_channels(given, ["AF"], coupled=False) == ()
+    assert impossible_channels(given, dynamics_of(T128)) == ()
 
 
 @pytest.mark.parametrize(("reading", "verdict"), [(100.0, "not usable"), (0.0, "doubtful")])
@@ -150,7 +152,7 @@ def test_a_dead_accelerometer_is_named():
 def test_a_reading_that_is_exact_may_be_still():
     still = Channel("AF", np.full(64, 5.0), "N", noise=0.0)
     given = Recording.from_columns(np.arange(64) / RATE, {"AF": still})
-    assert impossible_channels(given, ["AF"], coupled=False) == ()
+    assert impossible_channels(given, dynamics_of(T128)) == ()
 
 
 @pytest.mark.parametrize("reading", [0.0, 30.0])

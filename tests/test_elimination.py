@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from aerobalance.dynamics.condensation import Condensed, modes_of, partial_fractions, spectral_factor
+from aerobalance.dynamics.condensation import modes_of, partial_fractions, spectral_factor
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.modal import Mode
 from aerobalance.recording.channel import Array
@@ -29,13 +29,13 @@ def bent(rng: np.random.Generator) -> CoupledDynamics:
 def test_no_hidden_coordinate_leaves_the_equations_as_they_are() -> None:
     A, D = np.array([[3e-6, 1e-6], [0.0, 2e-6]]), np.array([[4e-5, 0.0], [1e-5, 5e-5]])
     dynamics = CoupledDynamics(("NF", "AF"), A, D)
-    free = Condensed.of(dynamics)
+    free = dynamics.condensed
     expected = np.stack([np.eye(2), D, A], axis=-1)
     # three values on a circle of radius w hold each power to some roundings of what it is there, of about 1
     rate = float(np.exp(np.mean(np.log(np.abs(dynamics.poles)))))
     assert (np.abs(free.forces - expected) * rate ** np.arange(3.0) < 1e-14).all()
     row = CoupledDynamics(("NF", "AF"), np.diag([3e-6, 2e-6]), np.diag([4e-5, 5e-5]))
-    assert not Condensed.of(row).forces[[0, 1], [1, 0]].any()  # nothing at all where there is no coupling
+    assert not row.condensed.forces[[0, 1], [1, 0]].any()  # nothing at all where there is no coupling
     assert free.common == pytest.approx([1.0])
     assert free.internal.shape == (0, 2, 1)
 
@@ -44,7 +44,7 @@ def test_equations_without_the_hidden_coordinate_are_the_inverse_of_the_response
     dynamics = bent(rng)
     frequency = np.geomspace(1, 2000, 100)
     s = 2j * np.pi * frequency
-    free = Condensed.of(dynamics)
+    free = dynamics.condensed
     common = values(free.common, s)[:, None, None]
     whole = np.linalg.inv(dynamics.equation(s))
     expected = np.linalg.inv(whole[:, :6, :6])
@@ -62,7 +62,7 @@ def test_equations_without_the_hidden_coordinate_are_the_inverse_of_the_response
 def test_one_hidden_coordinate_by_hand() -> None:
     """AF with one spring behind: q F = (p11 q - p12 p21) X with q = p22."""
     dynamics = CoupledDynamics(("AF",), np.array([[4e-6, 1e-6], [2e-6, 3e-6]]), np.array([[2e-5, 0.0], [0.0, 1e-5]]))
-    free = Condensed.of(dynamics)
+    free = dynamics.condensed
     one, two = np.array([1, 2e-5, 4e-6]), np.array([1, 1e-5, 3e-6])
     across = np.convolve([0, 0, 1e-6], [0, 0, 2e-6])
     np.testing.assert_allclose(free.forces[0, 0], np.convolve(one, two) - across, rtol=1e-12)

@@ -11,7 +11,8 @@ from scipy.stats import chi2
 
 from aerobalance.app.cli import main
 from aerobalance.app.commands.identify_shaking import identify_shaken
-from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.identification.base_excitation.shaking import identify_shaking
 from aerobalance.io import write_recording

@@ -7,7 +7,8 @@ import pytest
 
 from aerobalance.app.cli import main
 from aerobalance.app.commands.identify_stiffness import from_stiffness
-from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.identification.coupled.modes import ModeTable
 from aerobalance.identification.from_stiffness import agreement, coupled_from_stiffness
 from aerobalance.io.dynamics_file import read_coupled, write_dynamics

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 
-from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.decoupling import DecoupledChannel
+from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.estimation.decoupled_record import load_felt
 from aerobalance.estimation.live.decoupling import MARGIN, Decoupler
 from aerobalance.estimation.live.live_force import JUDGED, LiveForce, LiveSettings
@@ -40,7 +41,7 @@ def noise_of(balance: CoupledBalance) -> np.ndarray:
 
 def channels_of(balance: CoupledBalance) -> list[DecoupledChannel]:
     noise = np.diag(noise_of(balance) ** 2)
-    return [DecoupledChannel.of(balance.dynamics, name, noise=noise) for name in COMPONENTS]
+    return [balance.dynamics.decoupled(name, noise=noise) for name in COMPONENTS]
 
 
 def chunks(generator: np.random.Generator, count: int, most: int) -> list[slice]:
@@ -87,7 +88,7 @@ def test_hidden_coordinates_are_taken_apart_too(rng):
     force = broadband(rng, Band(0, 150), rms=np.full(6, 50.0), period=1.0)(np.arange(4000) / RATE)[:, :2]
     force *= from_rest(4000)
     readings = load_felt(dynamics, force, interval=1 / RATE)
-    channels = [DecoupledChannel.of(dynamics, name, noise=np.diag([1.0, 0.01])) for name in dynamics.components]
+    channels = [dynamics.decoupled(name, noise=np.diag([1.0, 0.01])) for name in dynamics.components]
     found, freed = apart(rng, channels, readings), apart(rng, channels, readings, force)
     for place, channel in enumerate(channels):
         assert len(channel.dynamics.modes) == 2

@@ -11,7 +11,7 @@ from aerobalance.estimation.force import ForceWork, estimate_force
 from aerobalance.estimation.force_parts import JOINTS, Division
 from aerobalance.estimation.force_smoother import SmootherResult
 from aerobalance.estimation.forces import ForceSettings
-from aerobalance.estimation.record import IndependentRecord
+from aerobalance.estimation.independent_record import IndependentRecord
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.part_warnings import PartWarnings

@@ -35,6 +35,7 @@ from aerobalance.app.monitor.setups import rig_setup, setup_of_record
 from aerobalance.app.monitor.tasks import Tasks
 from aerobalance.app.monitor.view import Panel, View, _weights
 from aerobalance.app.monitor.viewer import UNSHOWN
+from aerobalance.dynamics.independent import NO_DYNAMICS, dynamics_of
 from aerobalance.estimation.live.live_force import LiveForce, LiveSettings
 from aerobalance.io.dynamics_file import read_any_dynamics, write_dynamics
 from aerobalance.io.hdf5_contents import contents
@@ -204,7 +205,7 @@ def test_the_verdict_on_the_live_force_is_shown_with_its_reasons() -> None:
     source = source_of("cable_cut", seed=9)
     sound, dead = view_of(source), view_of(source)
     own = sound.panel.dynamics["AF"]
-    other = View(replace(sound.panel, dynamics={"AF": replace(own, stiffness=1.3 * own.stiffness)}))
+    other = View(replace(sound.panel, dynamics=dynamics_of(replace(own, stiffness=1.3 * own.stiffness))))
     verdicts, reasons = [], []
     for number in range(700):
         if number == 600:
@@ -268,7 +269,7 @@ def test_zero_under_a_weight_reads_curved_bridges_from_where_they_are(rng, seed)
     hung = rng.uniform(0.2, 0.5, 6) * balance.load_scale
     added = rng.uniform(-0.3, 0.3, 6) * balance.load_scale
     channels = tuple(StoredChannel(name=f"r{name}", unit="uV/V") for name in balance.gauges)
-    view = View(Panel(channels, 1000.0, True, {}, {}, {}, balance=balance))
+    view = View(Panel(channels, 1000.0, True, NO_DYNAMICS, {}, {}, balance=balance))
 
     def shown(native: np.ndarray) -> dict:
         outputs = balance.outputs(np.tile(native, (400, 1))) + balance.natural_zero
@@ -295,7 +296,7 @@ def test_loads_from_gauge_outputs(rng, seed) -> None:
     outputs = balance.outputs(native) + zero
     channels = tuple(StoredChannel(name=f"r{name}", unit="uV/V") for name in balance.gauges)
     zeros = {f"r{name}": float(value) for name, value in zip(balance.gauges, zero, strict=True)}
-    view = View(Panel(channels, 1000.0, True, {}, {}, {}, zeros=zeros, balance=balance))
+    view = View(Panel(channels, 1000.0, True, NO_DYNAMICS, {}, {}, zeros=zeros, balance=balance))
     view.feed(Block(0, 1e3 * outputs, 0.0))
     readings = view.take().readings
     expected = native @ balance.direct.T
@@ -303,7 +304,7 @@ def test_loads_from_gauge_outputs(rng, seed) -> None:
         # the iteration ends at 1e-9 of capacity or below
         assert readings[name].mean == pytest.approx(expected[:, place].mean(), rel=1e-6, abs=1e-4)
     with pytest.raises(FitError, match="the balance needs"):
-        View(Panel(channels[1:], 1000.0, True, {}, {}, {}, balance=balance))
+        View(Panel(channels[1:], 1000.0, True, NO_DYNAMICS, {}, {}, balance=balance))
 
 
 @pytest.mark.parametrize(
@@ -403,7 +404,7 @@ def test_ranges_limits_and_zeros_are_in_the_units_of_the_channels(tmp_path) -> N
     panel = panel_of(setup, hello, tmp_path, {})
     assert panel.half_ranges["AF"] == pytest.approx(100 * pound)
     assert panel.limits["AF"] == (pytest.approx(-50 * pound), math.inf)
-    assert (panel.dynamics, panel.components, panel.units) == ({}, (), ("N",))
+    assert (panel.dynamics.components, panel.components, panel.units) == ((), (), ("N",))
     zeroed = setup_of_record(setup, hello.channels, zeros={"AF": 10 * pound}, notes="cold", seconds=3.0)
     # value = sign (scale reading + offset): an offset of 1 + 10 takes 10 lbf off
     assert zeroed.channels["AF"].offset == pytest.approx(11.0)

@@ -19,6 +19,7 @@ from aerobalance.app.monitor.messages import News, Watching
 from aerobalance.app.monitor.setups import rig_setup
 from aerobalance.app.monitor.view import Panel, View
 from aerobalance.balance.load_envelope import LoadEnvelope
+from aerobalance.dynamics.independent import NO_DYNAMICS
 from aerobalance.io import read
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_layout import StoredChannel
@@ -35,7 +36,7 @@ CHANNELS = (
 
 def test_combined_loads_are_the_worst_of_all_samples(rng) -> None:
     envelope = LoadEnvelope("rhombus", {"NF": (-2000.0, 2000.0), "AF": (-100.0, 100.0)})
-    view = View(Panel(CHANNELS, 1000.0, True, {}, {}, {}, zeros={"AF": 10.0}, envelope=envelope))
+    view = View(Panel(CHANNELS, 1000.0, True, NO_DYNAMICS, {}, {}, zeros={"AF": 10.0}, envelope=envelope))
     samples = rng.normal(size=(400, 3)) * (0.5, 20.0, 0.0)
     view.feed(Block(0, samples, 0.0))
     found = view.take().envelope
@@ -48,7 +49,7 @@ def test_combined_loads_are_the_worst_of_all_samples(rng) -> None:
 
 def test_contact_is_marked_where_it_is() -> None:
     circuit = ContactCircuit(2, "fouling", "V", 2.5, True, 20)
-    view, board = View(Panel(CHANNELS, 1000.0, True, {}, {}, {}, circuit=circuit)), DisplayState()
+    view, board = View(Panel(CHANNELS, 1000.0, True, NO_DYNAMICS, {}, {}, circuit=circuit)), DisplayState()
     board.begin(Watching(1, view.panel.names, ("",) * 3, 1000.0, 1, (), {}, {}, {}, {}))
     volts = np.zeros(1500)
     volts[300:420] = volts[430:500] = volts[1400:] = 5.0  # bounces once

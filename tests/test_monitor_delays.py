@@ -12,6 +12,7 @@ from aerobalance.acquisition.setup import setup_from, stored_channels
 from aerobalance.acquisition.simulated import RigSettings, SimulatedSource, rig_dynamics
 from aerobalance.acquisition.source import Block
 from aerobalance.app.monitor.view import Panel, View
+from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.recording.errors import ReadError
 from aerobalance.simulation.published import VIBRATION_RIG
@@ -38,7 +39,7 @@ def force_of(samples, *, delays=(0.0, 0.0), cuts=500):
         StoredChannel("AF", "N", delay=delays[0]),
         StoredChannel("ground_acceleration", "m/s^2", delay=delays[1]),
     )
-    view = View(Panel(channels, RATE, True, {"AF": DYNAMICS}, {}, {}))
+    view = View(Panel(channels, RATE, True, dynamics_of(DYNAMICS), {}, {}))
     found, tick = [], 0
     edges = np.arange(0, len(samples), cuts) if isinstance(cuts, int) else cuts
     for part in np.split(samples, edges):

@@ -7,6 +7,7 @@ import pytest
 
 from aerobalance.app.monitor.steady import newest_steady
 from aerobalance.app.monitor.view import Panel, View
+from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.simulation.published import CABLE_CUT
 from helpers.running_page import source_of
 
@@ -66,7 +67,7 @@ def test_the_force_shown_after_a_cut_is_none_that_never_was() -> None:
     from aerobalance.acquisition.setup import setup_from, stored_channels
 
     stored = stored_channels(setup_from({}), channels)
-    view = View(Panel(stored, source.rate, True, {"AF": CABLE_CUT.dynamics}, {}, {}))
+    view = View(Panel(stored, source.rate, True, dynamics_of(CABLE_CUT.dynamics), {}, {}))
     shown, steps = [], []
     while source._tick < 2 * source.rate:
         view.feed(source.read(1.0))

@@ -11,8 +11,9 @@ import pytest
 from scipy.integrate import quad
 
 from aerobalance.app.cli import main
-from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.live.live_force import LiveForce, LiveSettings
 from aerobalance.io.dynamics_file import write_dynamics
@@ -284,7 +285,7 @@ def test_the_live_force_lags_as_planned() -> None:
         ({"dynamics": bent(), "noise": READINGS, "acceleration_noise": 1.0}, "which the dynamics do not hold"),
         ({"dynamics": []}, "dynamics must be .*, not empty"),
         ({"dynamics": "dynamics.json"}, "dynamics must be .*, not str"),
-        ({"dynamics": [T128, T128]}, "once for each component, not for AF, AF"),
+        ({"dynamics": [T128, T128]}, "given twice of AF"),
     ],
 )
 def test_wrong_arguments(wrong: dict[str, object], words: str) -> None:

@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 import pytest
 
-from aerobalance.dynamics.coupled import RigidMass
+from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.motion.least_squares import GroundFit
 from aerobalance.motion.platform import PlatformMotion
 from aerobalance.motion.sensors import ground_sensors

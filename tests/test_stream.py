@@ -5,9 +5,10 @@ from dataclasses import asdict
 import numpy as np
 import pytest
 
+from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.live.decoupling import Decoupler, decoupled
+from aerobalance.estimation.live.decoupling import Decoupler
 from aerobalance.estimation.live.filter import false_alarm_evidence
 from aerobalance.estimation.live.health import Health, wide_process
 from aerobalance.estimation.live.live_force import LiveForce, LiveSettings
@@ -250,7 +251,7 @@ def test_ground_load_is_that_of_the_whole_record(delay, rng):
     dynamics = Dynamics("AF", 177.87, 3.093e7, 828.21, delay=delay, further_modes=TWO_MODES.further_modes)
     motion = GroundMotion(acceleration)
     expected = load_from_ground(motion, dynamics, rate=RATE)
-    channels = decoupled(dynamics, noise=np.eye(1))
+    channels = [dynamics_of(dynamics).decoupled("AF", noise=np.eye(1))]
     ground = Decoupler(channels, interval=1 / RATE, moves=True, delay=delay)
     nets = np.array_split(-dynamics.mass * acceleration[:, None], 60)
     load = -np.concatenate([*(ground.push(np.zeros_like(net), net) for net in nets), ground.finish()])[:, 0]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from aerobalance.app.monitor.running_spectrum import LENGTH, RunningSpectrum
-from aerobalance.estimation.live.decimation import ROLL_OFF, SPAN, Decimator, root_raised_cosine
+from aerobalance.estimation.live.decimation import SPAN, Decimator
 
 
 def test_does_not_depend_on_the_cut(rng) -> None:
@@ -24,18 +24,6 @@ def test_a_slow_sine_passes_at_its_own_time() -> None:
     # the ripple of the filter, cut off after SPAN samples on either side (next test)
     assert np.abs(found - due).max() < 2e-3
     assert thinner.first == SPAN * 9
-
-
-@pytest.mark.parametrize("factor", [2, 5, 16])
-def test_gain_and_folded_noise(factor) -> None:
-    gain = np.abs(np.fft.rfft(root_raised_cosine(factor), 4096 * factor))
-    nyquist = 4096 // 2
-    below = gain[: int((1 - ROLL_OFF) * nyquist)]
-    # a root raised cosine cut off after 8 samples on either side falls short of its ideal by 0.2 %
-    assert np.abs(below - 1).max() < 4e-3
-    folded = gain[: nyquist + 1] ** 2 + gain[nyquist : 2 * nyquist + 1][::-1] ** 2
-    assert np.abs(folded - 1).max() < 0.02
-    assert root_raised_cosine(factor).sum() == pytest.approx(1.0, abs=1e-12)
 
 
 def test_a_factor_of_one_changes_nothing() -> None:

@@ -6,12 +6,14 @@ from functools import cache
 import numpy as np
 import pytest
 
+from aerobalance.dynamics.independent import dynamics_of
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.error_sources import Noise, Systematic
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.force_smoother import LinearSmoother, SmootherResult
+from aerobalance.estimation.independent_record import SingleRecord
 from aerobalance.estimation.noise_draws import NoiseDraws
 from aerobalance.estimation.prior import SpectralPrior
-from aerobalance.estimation.record import SingleRecord
 from aerobalance.estimation.result import ComponentForce, with_balance
 from aerobalance.estimation.statespace.model_draws import ModelDraws
 from aerobalance.motion.single_axis import GroundMotion
@@ -251,10 +253,14 @@ def test_drawn_numbers_have_exactly_their_covariance():
     assert drawn.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-12)
 
 
+def alone(dynamics: Dynamics) -> UncertainDynamics:
+    return UncertainDynamics.of(dynamics_of(dynamics), np.arange(len(dynamics.parameters)))
+
+
 def test_drawn_dynamics_have_the_covariance_of_the_dynamics():
-    unsure = UncertainDynamics.of(UNSURE)
+    unsure = alone(UNSURE)
     normals = standard_normals(np.random.default_rng(3), unsure.count, 30)
-    drawn = np.array([unsure.at(numbers).values for numbers in normals])
+    drawn = np.array([unsure.at(numbers).parameter_values for numbers in normals])
     unit = np.where(np.diag(UNSURE.covariance) > 0, np.sqrt(np.diag(UNSURE.covariance)), 1.0)
     # numbers of 1e7 are drawn: their last digit is 1e-9 of u(k) = 6e3 or better
     assert np.cov((drawn / unit).T) == pytest.approx(UNSURE.covariance / np.outer(unit, unit), abs=1e-6)
@@ -263,7 +269,7 @@ def test_drawn_dynamics_have_the_covariance_of_the_dynamics():
 def test_dynamics_that_are_hardly_known_are_refused():
     wild = replace(T128, covariance=np.diag([(3 * T128.mass) ** 2, 0, 0, 0]))
     with pytest.raises(FitError, match="not physical"):
-        Change(UncertainDynamics.of(wild), lambda _: None).records(np.random.default_rng(3), 50)
+        Change(alone(wild), lambda _: None).records(np.random.default_rng(3), 50)
 
 
 def test_the_fast_estimator_is_the_obvious_one(rng):
@@ -376,7 +382,7 @@ def test_draws_of_parameters_by_a_polynomial_are_those_one_by_one():
         drawn = other.reading()
         return LinearSmoother.of(drawn, **given).run(drawn.filled[:, None])[:, 0] - found
 
-    change = Change(UncertainDynamics.of(UNSURE), record.with_dynamics)
+    change = Change(alone(UNSURE), lambda other: record.with_dynamics(other["AF"]))
     errors = np.array(list(parameter_errors(change, moved, draws=60, generator=np.random.default_rng(3))))
     assert len(asked) < 30
     expected = np.array([moved(other) for other in change.records(np.random.default_rng(3), 60)])

@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from scipy.linalg import eigh
 
-from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.estimation.force import estimate_force
 from aerobalance.recording.channel import Array
 from aerobalance.simulation import SixComponentRig
@@ -129,7 +128,7 @@ def test_gusts_on_a_model_or_sting_that_bends(record, rng) -> None:
         rig = SixComponentRig(balance, applied=load, output="loads", dynamics=dynamics)
         simulation = rig.run(DURATION, rng)
         bound = wiener_bound(balance, band, dynamics=dynamics)
-        still = DecoupledChannel.of(dynamics, "NF", noise=np.eye(6)).still[0]
+        still = dynamics.decoupled("NF", noise=np.eye(6)).still[0]
         dying = 7 / (still.damping_ratio * still.angular_frequency)
         settled = slice(round(dying * RATE), -round(DURATION * RATE / 20))
         found = estimate_force(simulation.recording, dynamics)

@@ -3,7 +3,8 @@
 import numpy as np
 from scipy.linalg import eigh
 
-from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 

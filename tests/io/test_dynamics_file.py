@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.io.coupled_part import matrix_units
 from aerobalance.io.dynamics_file import (

@@ -15,7 +15,8 @@ from aerobalance.acquisition.six_rig import GROUND_NOISE, LARGEST_SHAKE, SixMoti
 from aerobalance.acquisition.source import Block, Pacing, SourceChannel, SourceEndedError
 from aerobalance.acquisition.source_settings import CLOSED, HALF_RANGES, SHUNT_SHARE, TOUCH_SHARE, RigName
 from aerobalance.balance.matrix import BalanceMatrix
-from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
+from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.channel import QUANTITIES, Array
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, is_gauge
@@ -392,8 +393,8 @@ def _unit(name: str) -> str:
     return "mV/V" if is_gauge(name) else QUANTITIES.get(name, "V")
 
 
-def rig_dynamics(rig: RigName) -> dict[str, Dynamics] | CoupledDynamics:
-    """Return the dynamics of the components that a rig has, by name, or of coupled ones."""
+def rig_dynamics(rig: RigName) -> BalanceDynamics:
+    """Return the dynamics of the components that a rig has."""
     if rig == "six":
         return six_dynamics()
-    return {"AF": (VIBRATION_RIG if rig == "vibration" else CABLE_CUT).dynamics}
+    return dynamics_of((VIBRATION_RIG if rig == "vibration" else CABLE_CUT).dynamics)

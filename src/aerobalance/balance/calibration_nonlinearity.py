@@ -78,7 +78,7 @@ class NonlinearErrors:
         """
         matrix = felt.balance
         native = felt.native[np.isfinite(felt.native).all(axis=1)]
-        size = min(SEGMENT, native.shape[0])
+        size = min(SEGMENT // felt.recording.decimated, native.shape[0])
         frequency = np.fft.rfftfreq(size, 1 / rate)
         kept = int(np.searchsorted(frequency, highest, side="right"))
         power = np.zeros((kept, len(matrix.components)))

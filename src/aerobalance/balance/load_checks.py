@@ -54,6 +54,11 @@ def beyond_range(balance: BalanceMatrix, native: Array) -> dict[str, int]:
     native
         Loads in its own components, shape (n, c); NaN where missing.
     """
+    if not native.size:
+        return {}
+    ends = _excess(balance, np.stack([np.fmin.reduce(native), np.fmax.reduce(native)]))
+    if not (ends > SETTINGS.beyond).any():  # as in most records, which takes a tenth of the time
+        return {}
     excess = _excess(balance, native)
     counts = np.count_nonzero(excess > SETTINGS.beyond, axis=0).tolist()
     return {name: count for name, count in zip(balance.components, counts, strict=True) if count}
@@ -68,7 +73,10 @@ def _excess(balance: BalanceMatrix, native: Array) -> Array:
 def check_range(recording: Recording, balance: BalanceMatrix, native: Array) -> dict[str, int]:
     """Count the samples outside the calibrated range, and warn."""
     least, most = balance.calibrated
-    beyond, counts = _excess(balance, native), beyond_range(balance, native)
+    counts = beyond_range(balance, native)
+    if not counts:
+        return counts
+    beyond = _excess(balance, native)
     for i, name in enumerate(balance.components):
         if name in counts:
             warn_quality(

@@ -29,6 +29,9 @@ from aerobalance.recording.noise import channel_noise, noise_correlation
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import interpolate_gaps_linearly
 
+SPREAD: Final = 1 << 16
+"""Samples, spread over a record, from which its median load is found."""
+
 SHARED_PITCH: Final = np.radians(0.2)
 """Difference of the mean pitch up to which a wind-off recording is at the same attitude [rad]."""
 
@@ -242,7 +245,8 @@ def loads_of_outputs(
     outputs = _at_reference_temperature(outputs, recording, balance)
     solution = balance.loads(outputs)
     known = np.isfinite(solution.loads).all(axis=1)
-    lost = int(np.count_nonzero(np.isfinite(outputs).all(axis=1) & ~known))
+    whole = bool(known.all())
+    lost = 0 if whole else int(np.count_nonzero(np.isfinite(outputs).all(axis=1) & ~known))
     if not known.any():
         raise FitError(
             f"{recording.name}: no sample gives loads; {lost} of {table.shape[0]} have no solution, the rest lack a "
@@ -254,11 +258,12 @@ def loads_of_outputs(
             "are missing in the result. The outputs lie far outside the calibration"
         )
     native = solution.loads
-    beyond = check_range(recording, balance, native[known])
-    contraction = check_iteration(recording, balance, native[known])
+    found = native if whole else native[known]
+    beyond = check_range(recording, balance, found)
+    contraction = check_iteration(recording, balance, found)
     noise = np.array([_noise(channel) for channel in channels])
     check_rows(recording, balance, channels, noise)
-    middle = balance.sensitivity(np.median(native[known], axis=0)[None, :])[0]
+    middle = balance.sensitivity(_median(found)[None, :])[0]
     components, moments, T = _form_of(balance, form)
     slope = T @ middle
     scatter = np.sqrt(np.maximum(np.diag(slope @ np.diag(noise**2) @ slope.T), 0.0))
@@ -341,12 +346,17 @@ def _apart(
     balance: BalanceMatrix, native: Array, zero: GaugeZero, channels: Sequence[Channel], *, transform: Array
 ) -> Array:
     """Variance of the loads from zeros and the bridges' gains, shape (n, c), or (1, c) where no gain is uncertain."""
-    slope = transform @ balance.sensitivity(np.median(np.nan_to_num(native), axis=0)[None, :])[0]
+    slope = transform @ balance.sensitivity(_median(np.nan_to_num(native))[None, :])[0]
     of_zero = slope**2 @ (zero.u**2 + zero.drift**2 / 12)
     gains = np.array([channel.relative_uncertainty for channel in channels])
     if not gains.any():
         return np.asarray(of_zero[None])
     return np.asarray(of_zero + (np.nan_to_num(native) * gains) ** 2 @ transform.T**2)
+
+
+def _median(native: Array) -> Array:
+    """Median load, shape (c,); of a long record that of samples spread over it, where the matrix is the same."""
+    return np.asarray(np.median(native[:: max(len(native) // SPREAD, 1)], axis=0))
 
 
 def _from_matrix(felt: Loads, native: Array) -> Array:

@@ -86,9 +86,11 @@ def weight_on_zero(zeros: Sequence[Recording], model: CarriedWeight, *, gravity:
     )
     attitudes = [attitudes_of(zero) for zero in zeros]
     weights = np.zeros((len(zeros), len(COMPONENTS)))
-    for row, (pitch, roll) in zip(weights, attitudes, strict=True):
+    for row, own in zip(weights, attitudes, strict=True):
+        still = not np.ptp(own.pitch) and not np.ptp(own.roll)
+        at = Attitudes(own.pitch[:1], own.roll[:1]) if still else own  # at one attitude all samples weigh the same
         for name in model.components:
-            row[COMPONENTS.index(name)] = np.nanmean(model.weight(name, pitch=pitch, roll=roll, gravity=gravity))
+            row[COMPONENTS.index(name)] = np.nanmean(model.weight(name, pitch=at.pitch, roll=at.roll, gravity=gravity))
     pull = GravityOnZero.of(attitudes, gravity=gravity)
     guess = _mass_of(model, gravity) * pull.acceleration
     weight = weights.mean(axis=0) if zeros else _NOTHING

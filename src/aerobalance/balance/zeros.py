@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Final, Literal, Protocol
 
 import numpy as np
@@ -198,12 +199,12 @@ def gauge_zero(
     model_on
         False where nothing hung on the balance. Where the model did, `without_weight` takes its weight out.
     """
-    first = _MeanOutputs.of(recordings, balance)
+    first = _mean_outputs(tuple(recordings), balance)
     source = ", ".join(recording.name for recording in recordings)
     if not after:
         nothing = np.zeros_like(first.values)
         return GaugeZero(first.values, first.u, source, nothing, model_on=model_on, moved=first.moved)
-    last = _MeanOutputs.of(after, balance)
+    last = _mean_outputs(tuple(after), balance)
     drift, noise = last.values - first.values, np.maximum(first.noise, last.noise)
     return GaugeZero(
         first.values,
@@ -214,6 +215,11 @@ def gauge_zero(
         moved=np.maximum(first.moved, last.moved),
         drifted=bool(is_moved(drift, noise, MOVED_IN_RANGE[1] * balance.output_scale).any()),
     )
+
+
+@lru_cache(maxsize=4)  # the same for all parts of a record
+def _mean_outputs(recordings: tuple[Recording, ...], balance: BalanceMatrix) -> _MeanOutputs:
+    return _MeanOutputs.of(recordings, balance)
 
 
 def is_moved(change: Array, noise: Array, least: Array) -> NDArray[np.bool_]:

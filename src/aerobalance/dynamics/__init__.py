@@ -1,1 +1,1 @@
-"""Models of the balance as a spring: one component, coupled components, condensation and decoupling."""
+"""The balance as a spring, n x n: one component, independent or coupled ones; condensation and decoupling."""

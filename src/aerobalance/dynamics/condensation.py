@@ -11,13 +11,13 @@ another, it has none either.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
-from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.modal import Mode
 from aerobalance.recording.channel import Array
 
@@ -44,11 +44,27 @@ class Condensed:
     common: Array
 
     @classmethod
-    def of(cls, dynamics: CoupledDynamics) -> Condensed:
-        """Return the equations with the internal coordinates condensed."""
-        n, e = len(dynamics.components), dynamics.internal
-        radius = float(np.exp(np.mean(np.log(np.abs(dynamics.poles)))))
-        whole = dynamics.equation(radius * np.exp(2j * np.pi * np.arange(2 * e + 3) / (2 * e + 3)))
+    def of(
+        cls,
+        equation: Callable[[NDArray[np.complex128]], NDArray[np.complex128]],
+        *,
+        components: int,
+        poles: NDArray[np.complex128],
+    ) -> Condensed:
+        """Return the equations with the internal coordinates condensed.
+
+        Parameters
+        ----------
+        equation
+            Gives 1 + D s + A s^2 of all N coordinates at s of shape (m,) [rad/s], shape (m, N, N).
+        components
+            Their number n: rows and columns of internal coordinates stand behind theirs.
+        poles
+            Poles of the free motion, shape (2 N,) [rad/s].
+        """
+        n, e = components, poles.size // 2 - components
+        radius = float(np.exp(np.mean(np.log(np.abs(poles)))))
+        whole = equation(radius * np.exp(2j * np.pi * np.arange(2 * e + 3) / (2 * e + 3)))
         seen, by_hidden, of_seen, inner = (
             whole[:, :n, :n],
             whole[:, :n, n:],
@@ -63,6 +79,11 @@ class Condensed:
             _coefficients(by_hidden @ adjugate, radius)[..., : 2 * e + 1],
             _coefficients(common, radius)[0, 0, : 2 * e + 1],
         )
+
+    @property
+    def still(self) -> NDArray[np.complex128]:
+        """Roots of q: the motions in which no component shows anything, shape (2 e,) [rad/s]."""
+        return np.asarray(polynomial.polyroots(self.common), dtype=np.complex128)
 
 
 def _coefficients(values: NDArray[np.complex128], radius: float) -> Array:

@@ -11,116 +11,24 @@ other coordinates T Y + S X, so nothing is lost by the zero.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Final, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aerobalance.dynamics._kernels import first_order
-from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics, ForceSlopes
+from aerobalance.dynamics.condensation import Condensed
+from aerobalance.dynamics.decoupling import DecoupledChannel, parameter_rows
+from aerobalance.dynamics.independent import dynamics_of
+from aerobalance.dynamics.modal import EquivalentModel, Mode
+from aerobalance.dynamics.rigid_body import RigidMass, mass_slopes
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import AXES, COMPONENTS, DIRECTIONS, FROM_VECTORS, MOMENT_ROWS, STANDARD_GRAVITY
-from aerobalance.recording.gravity import gravity_components
-
-MASS_PARAMETERS: Final = (
-    "mass",
-    *(f"centre {axis}" for axis in AXES),
-    *(f"inertia {axes}" for axes in ("aft-aft", "right-right", "up-up", "aft-right", "aft-up", "right-up")),
-)
-"""Order of the rows and columns of `RigidMass.covariance`."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RigidMass:
-    """A rigid moving mass about the balance's centre.
-
-    Attributes
-    ----------
-    mass
-        Mass [kg].
-    centre
-        Centre of gravity along aft, right and up, shape (3,) [m].
-    inertia
-        Moments of inertia about the centre of gravity, shape (3, 3), symmetric [kg*m^2].
-    covariance
-        Covariance of mass, centre and the inertia's aa, rr, uu, ar, au, ru, shape (10, 10); all zero where not given.
-    """
-
-    mass: float
-    centre: Array
-    inertia: Array
-    covariance: Array = field(default_factory=lambda: np.zeros((10, 10)))
-
-    def __post_init__(self) -> None:
-        if not 0 < self.mass < np.inf:
-            raise ValueError(f"mass must be positive and finite, not {self.mass}")
-        for name, shape in (("centre", (3,)), ("inertia", (3, 3)), ("covariance", (10, 10))):
-            value = getattr(self, name)
-            if value.shape != shape or not np.isfinite(value).all():
-                raise ValueError(f"{name} must have shape {shape} and be finite")
-        if not np.allclose(self.inertia, self.inertia.T, rtol=1e-9, atol=0):
-            raise ValueError("inertia must be symmetric")
-
-    @classmethod
-    def of_values(cls, values: Array) -> RigidMass:
-        """A mass from values of `MASS_PARAMETERS`, shape (10,), taken as known exactly."""
-        aa, rr, uu, ar, au, ru = (float(value) for value in values[4:])
-        inertia = np.array([[aa, ar, au], [ar, rr, ru], [au, ru, uu]])
-        return cls(float(values[0]), np.array(values[1:4]), inertia)
-
-    @property
-    def values(self) -> Array:
-        """Values of `MASS_PARAMETERS`, shape (10,)."""
-        return np.array([self.mass, *self.centre, *self.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]])
-
-    @property
-    def matrix(self) -> Array:
-        """Mass matrix in the order and signs of `COMPONENTS`, shape (6, 6) [kg, kg*m, kg*m^2].
-
-        Times the acceleration of the balance's centre, its moments turns, it is the load that the acceleration takes.
-        """
-        across = np.cross(np.eye(3), self.centre)  # rows e x r, so that across.T @ turn = turn x r
-        whole = np.zeros((6, 6))
-        whole[:3, :3] = self.mass * np.eye(3)
-        whole[:3, 3:] = self.mass * across.T
-        whole[3:, :3] = self.mass * across
-        whole[3:, 3:] = self.inertia + self.mass * across @ across.T
-        return FROM_VECTORS @ whole @ FROM_VECTORS.T
-
-    def weight(self, pitch: ArrayLike, roll: ArrayLike = 0.0, *, gravity: float = STANDARD_GRAVITY) -> Array:
-        """Loads of the weight about the balance's centre, shape (n, 6) [N, N*m].
-
-        Parameters
-        ----------
-        pitch, roll
-            Angles nose up and right side down, shape (n,) or one [rad].
-        gravity
-            Acceleration of gravity [m/s^2].
-        """
-        return np.asarray(gravity_components(pitch, roll, gravity=gravity) @ self.matrix.T)
-
-    def turning_load(self, rate: Array) -> Array:
-        """Loads that keep the mass turning at a steady rate: m w x (w x r) and its moment, with w x I w.
-
-        It is to be added to `matrix` times the acceleration of the balance's centre.
-
-        Parameters
-        ----------
-        rate
-            Turn of the ground end in the signs of PM, YM and RM, shape (n, 3) [rad/s].
-
-        Returns
-        -------
-        loads
-            Shape (n, 6) [N, N*m].
-        """
-        w = rate @ DIRECTIONS[list(MOMENT_ROWS)]
-        force = self.mass * np.cross(w, np.cross(w, self.centre))
-        moment = np.cross(self.centre, force) + np.cross(w, w @ self.inertia)
-        return np.asarray(np.hstack([force, moment]) @ FROM_VECTORS.T)
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.errors import FitError
 
 
 def internal_names(count: int) -> tuple[str, ...]:
@@ -147,7 +55,7 @@ class ModalForm(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CoupledDynamics:
+class CoupledDynamics(BalanceDynamics):
     """Dynamics of several components at once.
 
     Attributes
@@ -173,9 +81,9 @@ class CoupledDynamics:
         SHA-256 of the file of the balance matrix that has this calibration; empty where it is not known.
     """
 
-    components: tuple[str, ...]
-    inertia: Array
-    damping: Array
+    components: tuple[str, ...] = field()  # else the abstract property would be its default
+    inertia: Array = field()
+    damping: Array = field()
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     mass: RigidMass | None = None
     covariance_of_calibration: Array = field(default_factory=lambda: np.zeros((0, 0)))
@@ -210,22 +118,13 @@ class CoupledDynamics:
         """Components that are not coupled, one mode each: the paper's way, with diagonal matrices."""
         if any(part.further_modes for part in parts):
             raise ValueError("components with further modes of their own cannot be put into one set of matrices")
-        parts = sorted(parts, key=lambda part: COMPONENTS.index(part.component))
-        n = len(parts)
+        apart = dynamics_of(sorted(parts, key=lambda part: COMPONENTS.index(part.component)))
+        n, (damping, inertia) = len(parts), apart.quadratic
         covariance = np.zeros((2 * n * n, 2 * n * n))
-        for place, part in enumerate(parts):
-            stiffness, size = part.stiffness, 4
-            slopes = np.zeros((2, size))
-            slopes[0, :2] = 1 / stiffness, -part.mass / stiffness**2
-            slopes[1, 1:3] = -part.damping / stiffness**2, 1 / stiffness
-            where = [place * n + place, n * n + place * n + place]
-            covariance[np.ix_(where, where)] = slopes @ part.covariance[:4, :4] @ slopes.T
-        return cls(
-            tuple(part.component for part in parts),
-            np.diag([part.mass / part.stiffness for part in parts]),
-            np.diag([part.damping / part.stiffness for part in parts]),
-            covariance,
-        )
+        for place, own in enumerate(apart.row_covariance):
+            row, where = [place, n + place], [place * (n + 1), n * n + place * (n + 1)]  # of A and D
+            covariance[np.ix_(where, where)] = own[np.ix_(row, row)]
+        return cls(apart.components, inertia, damping, covariance)
 
     @classmethod
     def of_rigid_mass(cls, mass: RigidMass, *, stiffness: Array, damping: Array) -> CoupledDynamics:
@@ -243,22 +142,37 @@ class CoupledDynamics:
         flexibility = np.linalg.inv(stiffness)
         return cls(COMPONENTS, mass.matrix @ flexibility, damping @ flexibility, mass=mass)
 
-    def weight(self, name: str, *, pitch: Array, roll: Array, gravity: float) -> Array:
-        """Weight of the common moving mass along a component [N, N*m], shape (n,); nothing where no mass is known."""
-        if self.mass is None:
-            return np.zeros_like(pitch)
-        return self.mass.weight(pitch, roll, gravity=gravity)[:, COMPONENTS.index(name)]
-
     @property
     def total_covariance(self) -> Array:
         """Covariance of `parameters` from readings and calibration together, shape (2 N^2, 2 N^2)."""
         return np.asarray(self.covariance + self.covariance_of_calibration)
 
     @property
+    def calibration(self) -> str | None:
+        """Digest of the balance matrix whose calibration is in `covariance_of_calibration`; None without one."""
+        return self.balance if self.covariance_of_calibration.any() else None
+
+    @property
     def with_calibration(self) -> CoupledDynamics:
         """The same for what does not know the calibration by itself: all that is not known is in `covariance`."""
         nothing = np.zeros_like(self.covariance)
         return replace(self, covariance=self.total_covariance, covariance_of_calibration=nothing, balance="")
+
+    @property
+    def parameter_values(self) -> Array:
+        """Values of `parameters`, shape (2 N^2,)."""
+        return np.concatenate([self.inertia.ravel(), self.damping.ravel()])
+
+    def with_parameters(self, values: Array, mass: RigidMass | None = None) -> CoupledDynamics:
+        """The same with other values of `parameters`, shape (2 N^2,), known exactly, and with this mass."""
+        inertia, damping = values.reshape(2, *self.inertia.shape)
+        return CoupledDynamics(self.components, inertia, damping, mass=mass)
+
+    @property
+    def exact(self) -> CoupledDynamics:
+        """The same, taken as known exactly, and its mass too."""
+        mass = self.mass and RigidMass.of_values(self.mass.values)
+        return CoupledDynamics(self.components, self.inertia, self.damping, mass=mass)
 
     @property
     def internal(self) -> int:
@@ -306,6 +220,16 @@ class CoupledDynamics:
     def poles(self) -> NDArray[np.complex128]:
         """Poles of the free motion, shape (2 N,), by size [rad/s]."""
         return self._motion[0]
+
+    @property
+    def condensed(self) -> Condensed:
+        """The equations of the components without the internal coordinates."""
+        return Condensed.of(self.equation, components=len(self.components), poles=self.poles)
+
+    @property
+    def zeros(self) -> NDArray[np.complex128]:
+        """Motions of the internal coordinates in which no component shows anything [rad/s]."""
+        return self.condensed.still
 
     @property
     def modes(self) -> tuple[Mode, ...]:
@@ -388,3 +312,99 @@ class CoupledDynamics:
             for column, part in enumerate(shape):
                 felt[:, column] += part.real * motion.real - part.imag * motion.imag
         return felt
+
+    def force_slopes(self, frequency: Array) -> Iterator[ForceSlopes]:
+        """What inertia and damping do to the forces at frequencies of shape (m,) [Hz], one component after another."""
+        n, s = len(self.components), 2j * np.pi * np.asarray(frequency, dtype=np.float64)
+        whole = self.equation(s)
+        coordinates = np.linalg.inv(whole)[:, :, :n]
+        for place in range(n):
+            rows = parameter_rows(place, components=n, internal=self.internal)
+            # an error of an internal equation comes to the force as the internal coordinates do
+            carried = np.zeros((s.size, 1 + self.internal), dtype=np.complex128)
+            carried[:, 0] = 1.0
+            if self.internal:
+                inside = whole[:, n:, n:].transpose(0, 2, 1)
+                carried[:, 1:] = -np.linalg.solve(inside, whole[:, place, n:, None])[..., 0]
+            slopes = np.concatenate(
+                [
+                    (power[:, None, None] * carried[:, :, None])[..., None] * coordinates[:, None]
+                    for power in (s**2, s)
+                ],
+                axis=1,
+            ).reshape(s.size, rows.size, n)
+            yield ForceSlopes(slopes, self.covariance[np.ix_(rows, rows)])
+
+    @property
+    def quadratic(self) -> tuple[Array, Array]:
+        """D [s] and A [s^2] of the components by themselves, shape (n, n) each."""
+        n = len(self.components)
+        return self.damping[:n, :n], self.inertia[:n, :n]
+
+    @property
+    def _rows(self) -> list[int]:
+        """Where the components are among all six."""
+        return [COMPONENTS.index(name) for name in self.components]
+
+    @property
+    def mass_rows(self) -> Array:
+        """Rows of the mass matrix that belong to the components, shape (n, 6); zero without a mass."""
+        return np.zeros((len(self.components), len(COMPONENTS))) if self.mass is None else self.mass.matrix[self._rows]
+
+    @property
+    def moved_by(self) -> NDArray[np.bool_]:
+        """Accelerations for which the mass is known, shape (6,): all or none."""
+        return np.full(len(COMPONENTS), self.mass is not None)
+
+    @property
+    def delays(self) -> Array:
+        """Times by which the loads lag the acceleration of the ground end, shape (n,) [s]: zero."""
+        return np.zeros(len(self.components))
+
+    @property
+    def row_covariance(self) -> Array:
+        """Covariance of a row of A, of D and of the mass matrix, one behind the other, shape (n, 2n + 6, 2n + 6)."""
+        n, size = len(self.components), len(self.inertia)
+        element = np.arange(2 * size * size).reshape(2, size, size)
+        covariance = np.zeros((n, 2 * n + 6, 2 * n + 6))
+        slopes = None if self.mass is None else np.array(mass_slopes(self.mass))
+        for place, row in enumerate(self._rows):
+            own = element[:, place, :n].ravel()
+            covariance[place, : 2 * n, : 2 * n] = self.covariance[np.ix_(own, own)]
+            if self.mass is not None and slopes is not None:
+                covariance[place, 2 * n :, 2 * n :] = slopes[:, row].T @ self.mass.covariance @ slopes[:, row]
+        return covariance
+
+    def weight(self, name: str, *, pitch: Array, roll: Array, gravity: float) -> Array:
+        """Weight of the common moving mass along a component [N, N*m], shape (n,); nothing where no mass is known."""
+        if self.mass is None:
+            return np.zeros_like(pitch)
+        return self.mass.weight(pitch, roll, gravity=gravity)[:, COMPONENTS.index(name)]
+
+    def decoupled(self, component: str, *, noise: Array) -> DecoupledChannel:
+        """How one component is decoupled from the others, with a noise of the readings of this covariance, (n, n)."""
+        return DecoupledChannel.of(component, self.components.index(component), self.condensed, noise=noise)
+
+    def own_response(self, component: str) -> EquivalentModel:
+        """One component's reading under its own force alone: every mode with its share of a steady load.
+
+        The part of a residue that goes with the rate of the load, which damping that couples the modes gives, is left
+        out.
+
+        Raises
+        ------
+        FitError
+            A mode does not oscillate.
+        """
+        place = self.components.index(component)
+        poles, shapes, weights = self.modal_form
+        up = poles.imag > 0
+        if 2 * np.count_nonzero(up) != poles.size:
+            raise FitError("a mode is damped so strongly that it does not oscillate: no method for one component fits")
+        residues = shapes[place, up] * weights[up, place]
+        order = np.argsort(np.abs(poles[up]))
+        modes = [
+            Mode(float(abs(pole)) / (2 * np.pi), float(-pole.real / abs(pole)), float(share))
+            for pole, share in zip(poles[up][order], (-2 * np.real(residues / poles[up]))[order], strict=True)
+        ]
+        return EquivalentModel(component, modes[0], tuple(modes[1:]))

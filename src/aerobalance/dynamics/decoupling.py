@@ -1,4 +1,4 @@
-r"""Coupled decoupled components: readings of which each is that of a balance with one component.
+r"""Decoupled components: readings of which each is that of a balance with one component.
 
 Row i of F = X + D X' + A X'' gives F_i with noise of the spectrum N_i = r R r*, r_j = delta_ij + D_ij s + A_ij s^2,
 and R the covariance of the channels' noise. It is a polynomial of second degree in the square of the frequency, so it
@@ -26,9 +26,8 @@ from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from aerobalance.dynamics.condensation import Condensed, modes_of, partial_fractions, spectral_factor
-from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.driven_modes import DrivenModes, values_and_rates
-from aerobalance.dynamics.modal import EquivalentModel, Mode
+from aerobalance.dynamics.modal import EquivalentModel, ModalModel, Mode
 from aerobalance.recording.channel import Array
 
 
@@ -90,22 +89,22 @@ class DecoupledChannel:
     """
 
     place: int
-    dynamics: EquivalentModel
+    dynamics: ModalModel
     row: Array
     internal: Array
     still: tuple[Mode, ...]
     carried: Array
 
     @classmethod
-    def of(cls, dynamics: CoupledDynamics, component: str, *, noise: Array) -> DecoupledChannel:
-        """Return how one component is decoupled from the others.
+    def of(cls, component: str, place: int, equations: Condensed, *, noise: Array) -> DecoupledChannel:
+        """Return how one of coupled components is decoupled from the others.
 
         Parameters
         ----------
-        dynamics
-            The coupled components.
-        component
-            Which of them.
+        component, place
+            Which of them, and its row.
+        equations
+            Their equations of motion.
         noise
             Covariance of the noise of a reading, shape (n, n) [N^2, N^2*m, N^2*m^2]; the ratios are what matters.
 
@@ -114,15 +113,21 @@ class DecoupledChannel:
         ValueError
             An internal coordinate moves without end while no component shows anything.
         """
-        place = dynamics.components.index(component)
-        free = Condensed.of(dynamics)
-        row, common = free.forces[place], free.common
-        still = modes_of(polynomial.polyroots(common).astype(np.complex128)) if dynamics.internal else ()
+        row, common = equations.forces[place], equations.common
+        still = modes_of(equations.still)
         if still or np.delete(row, place, axis=0).any():
             own = _equivalent(component, spectral_factor(_spectrum(row, noise) / noise[place, place]), common)
         else:
             own = EquivalentModel(component, Mode.of_quadratic(float(row[place, 1]), float(row[place, 2])))
-        return cls(place, own, row, free.internal, still, np.vstack([common, -free.carried[place]]))
+        return cls(place, own, row, equations.internal, still, np.vstack([common, -equations.carried[place]]))
+
+    @classmethod
+    def apart(cls, model: ModalModel, place: int, *, count: int) -> DecoupledChannel:
+        """Return that of a component, in one row of so many, that no other has a part in: its own reading."""
+        numerator, denominator = model.polynomials
+        row = np.zeros((count, denominator.size))
+        row[place] = denominator
+        return cls(place, model, row, np.zeros((0, count, 1)), (), numerator[None])
 
     @property
     def component(self) -> str:
@@ -158,6 +163,9 @@ class DecoupledChannel:
     @property
     def fractions(self) -> Fractions:
         """Transfer functions from the loads felt to its reading, as partial fractions."""
+        if self.alone:
+            none = np.zeros((len(self.dynamics.modes), len(self.row)))
+            return Fractions(self.partners.astype(np.float64), self.dynamics.modes, none, none)
         return Fractions.of(self.row, self.dynamics.modes)
 
     def noise_response(self, frequency: Array) -> NDArray[np.complex128]:
@@ -169,12 +177,10 @@ class DecoupledChannel:
             whole = whole / (1 + 2 * mode.damping_ratio * s / w + (s / w) ** 2)[:, None]
         return np.asarray(whole)
 
-    def rows(self, dynamics: CoupledDynamics) -> NDArray[np.intp]:
+    @property
+    def rows(self) -> NDArray[np.intp]:
         """Which of the parameters of the coupled dynamics have a part in the reading: the columns of the slopes."""
-        size = len(dynamics.inertia)
-        own = [self.place, *range(len(dynamics.components), size)]
-        element = np.arange(2 * size * size).reshape(2, size, size)
-        return np.asarray(element[:, own].ravel())
+        return parameter_rows(self.place, components=len(self.row), internal=len(self.internal))
 
     def parameter_slopes(self, loads: Array, *, interval: float) -> Array:
         """Change of `reading` with each element of `rows`: of A, equation by equation, then of D; (samples, k)."""
@@ -213,6 +219,13 @@ class DecoupledChannel:
     def _inside(self, loads: Array, place: int, *, interval: float) -> Array:
         """Load in an internal spring, shape (samples,)."""
         return Fractions.of(self.internal[place], self.still).through(loads, interval=interval)
+
+
+def parameter_rows(place: int, *, components: int, internal: int) -> NDArray[np.intp]:
+    """Elements of A and D in the equation of one component and in those of the internal coordinates, shape (k,)."""
+    size = components + internal
+    element = np.arange(2 * size * size).reshape(2, size, size)
+    return np.asarray(element[:, [place, *range(components, size)]].ravel())
 
 
 def _spectrum(row: Array, noise: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The modal model: how the load felt follows the force through one mode or several, and its closed forms.
+"""The modal model of one component: how its load follows the force through one mode or several, in closed form.
 
 AF/F is the sum of the modes' responses, each times its participation in a steady load (and, where components are
 coupled, in its rate). A mass on a damped spring, `aerobalance.dynamics.single.Dynamics`, and the single-input model of
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from functools import reduce
 from typing import Final, Self
 
 import numpy as np
@@ -65,6 +66,11 @@ class Mode:
     def angular_frequency(self) -> float:
         """Undamped natural angular frequency w [rad/s]."""
         return 2 * np.pi * self.natural_frequency
+
+    @property
+    def quadratic(self) -> tuple[float, float]:
+        """D [s] and A [s^2] of N = q + D q' + A q''."""
+        return 2 * self.damping_ratio / self.angular_frequency, self.angular_frequency**-2
 
     @property
     def poles(self) -> tuple[complex, complex]:
@@ -208,7 +214,7 @@ class ModalModel(ABC):
     @property
     def quadratic(self) -> tuple[float, float]:
         """D [s] and A [s^2] of the first mode alone: F = AF + D AF' + A AF''."""
-        return 2 * self.damping_ratio / self.angular_frequency, self.angular_frequency**-2
+        return self.modes[0].quadratic
 
     @property
     def modes(self) -> tuple[Mode, ...]:
@@ -227,6 +233,16 @@ class ModalModel(ABC):
         s = 2j * np.pi * np.asarray(frequency)
         parts = ((mode.share + mode.rate_share * s) * mode.response(frequency) for mode in self.modes)
         return np.asarray(sum(parts), dtype=np.complex128)
+
+    @property
+    def polynomials(self) -> tuple[Array, Array]:
+        """Numerator and denominator of AF/F by rising powers of s, of e + 1 modes: shapes (2e + 1,) and (2e + 3,)."""
+        free = [np.array([1.0, *mode.quadratic]) for mode in self.modes]
+        numerator = np.zeros(2 * len(free) - 1)
+        for place, mode in enumerate(self.modes):
+            rest = reduce(np.convolve, free[:place] + free[place + 1 :], np.array([mode.share, mode.rate_share]))
+            numerator += rest[: numerator.size]
+        return numerator, np.asarray(reduce(np.convolve, free))
 
     @property
     def poles(self) -> tuple[complex, complex]:

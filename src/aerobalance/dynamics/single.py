@@ -212,6 +212,36 @@ class Dynamics(ModalModel):
             raise ValueError(f"parameter must be one of {', '.join(names)}, natural_frequency, damping_ratio, share")
         return gradient
 
+    def force_slopes(self, frequency: Array) -> NDArray[np.complex128]:
+        """Change of the force of Eq. (17) of [Gorbushin2020]_ with each of `parameters`, over the force, (m, p).
+
+        Parameters
+        ----------
+        frequency
+            Frequencies, shape (m,) [Hz].
+        """
+        first, *further = self.modes
+        s = 2j * np.pi * frequency
+        M, k, b = self.mass, self.stiffness, self.damping
+        # dG/dp; the first mode is 1 / (1 + s b/k + s^2 M/k), and the derivative of 1/D is -D' / D^2
+        own = -first.share * first.response(frequency) ** 2
+        slopes = {
+            "mass": own * s**2 / k,
+            "stiffness": -own * (s * b + s**2 * M) / k**2,
+            "damping": own * s / k,
+            # the delay is that of the load behind the ground's acceleration: it does not touch F/AF
+            "delay": np.zeros_like(s),
+        }
+        for number, mode in enumerate(further, 2):
+            f, zeta = mode.natural_frequency, mode.damping_ratio
+            ratio = frequency / f
+            curve = -mode.share * mode.response(frequency) ** 2
+            slopes[f"natural_frequency_{number}"] = curve * 2 * (ratio**2 - 1j * zeta * ratio) / f
+            slopes[f"damping_ratio_{number}"] = curve * 2j * ratio
+            slopes[f"share_{number}"] = mode.response(frequency) - first.response(frequency)
+        of_response = np.column_stack([slopes[name] for name in self.parameters])
+        return np.asarray(-of_response / self.response(frequency)[:, None])
+
     def base_response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
         """Load felt over ground acceleration, AF/x1'' [kg], at frequencies [Hz], for F = 0.
 

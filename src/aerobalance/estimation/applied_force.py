@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from aerobalance.balance.loads import Loads
-from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.independent import IndependentDynamics
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.estimation.display import html, plot, summary, to_dataframe, to_xarray
 from aerobalance.estimation.forces import ForceRecord, ForceSettings
 from aerobalance.estimation.result import ComponentForce
@@ -129,7 +128,7 @@ class Force(Mapping[str, ComponentForce]):
         return self.record.recording
 
     @property
-    def dynamics(self) -> IndependentDynamics | CoupledDynamics:
+    def dynamics(self) -> BalanceDynamics:
         """The dynamics that the forces were worked out with."""
         return self.record.dynamics
 

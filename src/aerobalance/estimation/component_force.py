@@ -35,8 +35,9 @@ from aerobalance.estimation.force_smoother import (
     fit_signal_model,
 )
 from aerobalance.estimation.ground_gaps import has_hidden_motion, with_hidden_motion
+from aerobalance.estimation.independent_record import SingleRecord, moves_along_axis
 from aerobalance.estimation.prior import Observation, SpectralPrior, fit_prior
-from aerobalance.estimation.record import ComponentRecord, SingleRecord
+from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.result import ComponentForce, with_errors
 from aerobalance.estimation.spectra.line_noise import Hum, Line
 from aerobalance.estimation.spectra.noise_floor import departure_of
@@ -171,7 +172,7 @@ class Fitted:
             The balance is not in the range that can be calculated with, or the noise has another sampling rate.
         """
         _check(record)
-        if align and isinstance(record, SingleRecord):
+        if align and moves_along_axis(record):
             return cls._aligned(record, hum)
         found = cls._fitted(record, hum)
         if not has_hidden_motion(record):
@@ -262,7 +263,7 @@ class Fitted:
             *record.motion_errors(moved),
             *record.reading_errors(fit.force, through),
         ]
-        if isinstance(record, SingleRecord):
+        if moves_along_axis(record):
             for doubt, error in ground_doubts(record, fit, through, errors=tuple(errors)):
                 doubts.append(doubt)
                 errors.append(error)
@@ -309,7 +310,7 @@ class Fitted:
                 record.dynamics, learned, large=large, count=count, interval=reading.interval, unit=unit
             ):
                 yield [doubt], noise
-        step = step_of(record.load) if isinstance(record, SingleRecord) else 0.0
+        step = step_of(record.load)
         error = rounding_error(reading, learned, step=step) if step else None
         if error is not None:
             rest = float(np.sqrt(sum(np.mean(one.deviation**2) for one in errors)))

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.dynamics.decoupling import DecoupledChannel
-from aerobalance.dynamics.modal import EquivalentModel
+from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.prior import BESIDE_A_GAP, Observation, SpectralPrior
 from aerobalance.estimation.spectra.noise_spectrum import ShapedNoise
 from aerobalance.estimation.spectra.periodogram import Periodogram
@@ -88,7 +88,7 @@ class SharedNoise:
     """
 
     others: tuple[int, ...]
-    models: tuple[EquivalentModel, ...]
+    models: tuple[ModalModel, ...]
     found: Array
     readings: Array
     weights: Array
@@ -136,7 +136,7 @@ class NoiseMatrix:
         Squares of their responses, shape (m, n).
     """
 
-    models: tuple[EquivalentModel, ...]
+    models: tuple[ModalModel, ...]
     frequency: Array
     whole: NDArray[np.complex128]
     own: NDArray[np.complex128]

@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.decoupling import DecoupledChannel
-from aerobalance.dynamics.modal import EquivalentModel
+from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.correlated_noise import SharedNoise
 from aerobalance.estimation.decoupled_record import DecoupledRecord, load_felt
-from aerobalance.estimation.record import FEWEST_SAMPLES, check_length
+from aerobalance.estimation.record import BalanceRecord, check_length, component_channels
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.motion.platform import PlatformMotion
 from aerobalance.recording.channel import Array, Channel
@@ -30,7 +30,7 @@ from aerobalance.recording.sensors import corrected
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CoupledRecord:
+class CoupledRecord(BalanceRecord):
     """A recording with coupled dynamics and the ground's motion that go with it.
 
     Attributes
@@ -59,12 +59,12 @@ class CoupledRecord:
     recording: Recording
     dynamics: CoupledDynamics
     platform: PlatformMotion
-    channels: tuple[Channel, ...]
-    loads: Array
-    noise: Array
-    from_ground: Array
-    on_zero: Array
-    decoupled: tuple[DecoupledChannel, ...]
+    channels: tuple[Channel, ...] = field()  # else the property would be its default
+    loads: Array = field()
+    noise: Array = field()
+    from_ground: Array = field()
+    on_zero: Array = field()
+    decoupled: tuple[DecoupledChannel, ...] = field()
     _readings: dict[object, Array] = field(init=False, default_factory=dict, repr=False)
 
     @classmethod
@@ -115,41 +115,20 @@ class CoupledRecord:
             dynamics=dynamics,
             noise=noise,
             from_ground=fractional_delay(from_ground, delay=-self.platform.delay, interval=self.interval) + shift,
-            decoupled=tuple(DecoupledChannel.of(dynamics, name, noise=noise) for name in dynamics.components),
+            decoupled=tuple(dynamics.decoupled(name, noise=noise) for name in dynamics.components),
         )
 
     @property
-    def interval(self) -> float:
-        """Time between samples [s]."""
-        return 1 / self.recording.rate
+    def motion_covariance(self) -> Array:
+        """Covariance of the white noise of the ground's motion as a load per sample, shape (n, n)."""
+        mass = self.dynamics.mass_rows
+        return np.asarray(mass @ self.platform.covariance @ mass.T)
 
-    @property
-    def is_coupled(self) -> bool:
-        """Whether the force of some component needs the readings of another."""
-        return not all(one.alone for one in self.decoupled)
-
-    @property
-    def has_gaps(self) -> bool:
-        """True where readings are missing that the force of another component needs."""
-        return self.is_coupled and not np.isfinite(self.loads).all()
-
-    def component_records(
-        self, filled: Array, *, noises: Mapping[str, NoiseSpectrum] | None = None
-    ) -> dict[str, DecoupledRecord]:
-        """The decoupled components, by name.
-
-        Parameters
-        ----------
-        filled
-            The readings with something in the place of those that are missing, shape (samples, n). A component's
-            reading stays missing where one that has a part in it is.
-        noises
-            Spectra of the noise of the decoupled components, where they are known.
-        """
-        spectra = {} if noises is None else noises
-        return {
-            name: self.component_record(name, filled, noise=spectra.get(name)) for name in self.dynamics.components
-        }
+    def is_uncertain(self, component: str) -> bool:
+        """Whether the matrices are not known exactly, or the mass while there is motion or weight."""
+        mass = self.dynamics.mass
+        acting = mass is not None and mass.covariance.any() and self.platform.specific_force.any()
+        return bool(acting or self.dynamics.covariance.any())
 
     def component_record(
         self,
@@ -189,33 +168,20 @@ class CoupledRecord:
             others=tuple(self.decoupled[place] for place in others),
         )
 
-    def reading(self, place: int, *, on_clock_of: int, filled: Array, model: EquivalentModel | None = None) -> Array:
-        """Reading of a decoupled component at the instants of a component's channel, shape (samples,) [N, N*m].
-
-        Parameters
-        ----------
-        place, on_clock_of
-            Rows of the two.
-        filled
-            The readings without gaps, as in `component_records`; the load from the ground's motion is taken off.
-        model
-            Another model in the place of the component's own.
-        """
-        decoupled = self.decoupled[place]
-        changed = model is not None and model is not decoupled.dynamics
+    def reading(self, place: int, *, on_clock_of: int, filled: Array, model: ModalModel | None = None) -> Array:
+        """As for every record, and kept until the readings are filled otherwise."""
+        changed = model is not None and model is not self.decoupled[place].dynamics
         # every component asks for the readings of the others again
         if not changed and self._readings.get("filled") is not filled:
             self._readings.clear()
             self._readings["filled"] = filled
-        key, channel = (place, self.channels[on_clock_of].delay), self.channels[on_clock_of]
+        key = (place, self.channels[on_clock_of].delay)
         if not changed and key in self._readings:
             return self._readings[key]
-        own = align_channels(filled, self.channels, to=channel, interval=self.interval)
-        ground = fractional_delay(self.from_ground, delay=channel.delay, interval=self.interval)
-        if model is not None and changed:
-            return replace(decoupled, dynamics=model).reading(own - ground, interval=self.interval)
-        self._readings[key] = decoupled.reading(own - ground, interval=self.interval)
-        return self._readings[key]
+        found = BalanceRecord.reading(self, place, on_clock_of=on_clock_of, filled=filled, model=model)
+        if not changed:
+            self._readings[key] = found
+        return found
 
     def filled_by(self, forces: Mapping[str, Array], *, filled: Array) -> Array:
         """Readings with their gaps filled by what forces make the balance read, shape (samples, n).
@@ -270,14 +236,7 @@ def _channels(recording: Recording, dynamics: CoupledDynamics) -> tuple[Channel,
             f"{recording.name} has no {', '.join(lacking)}; the components are coupled, so the force of each needs "
             f"the readings of all: {', '.join(dynamics.components)}"
         )
-    channels = tuple(recording.channel(name) for name in dynamics.components)
-    for channel in channels:
-        count = int(np.count_nonzero(np.isfinite(channel.values)))
-        if count < FEWEST_SAMPLES:
-            raise FitError(
-                f"{recording.name}: {count} readings of {channel.name}; a force needs at least {FEWEST_SAMPLES}"
-            )
-    return channels
+    return component_channels(recording, dynamics.components)
 
 
 def _free_motion(dynamics: CoupledDynamics, left: Array, present: NDArray[np.bool_], *, interval: float) -> Array:

@@ -8,20 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
-from aerobalance.dynamics.coupled import MASS_PARAMETERS, CoupledDynamics, RigidMass
+from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.decoupling import DecoupledChannel
+from aerobalance.dynamics.rigid_body import MASS_PARAMETERS, mass_slopes
 from aerobalance.estimation.error_sources import Contribution, Systematic
 from aerobalance.estimation.record import ComponentRecord, Through
 from aerobalance.motion.platform import PlatformMotion, SystematicParameter
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.components import COMPONENTS, IS_FORCE
 from aerobalance.recording.linalg import covariance_root
 from aerobalance.recording.resampling import FINE, upsample_compensated
 
@@ -33,9 +33,6 @@ AT_ONCE: Final = 4
 
 UNSEEN: Final = 1e-4
 """The same over the rms of all errors of a reading: an error that holds along a record shows in its mean."""
-
-SMALL: Final = 1e-6
-"""Relative change of the mass's parameters over which its slopes are taken; the matrix is a polynomial in them."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, kw_only=True)
@@ -71,7 +68,7 @@ class DecoupledRecord(ComponentRecord):
     @property
     def input_noise(self) -> float:
         """White noise of the ground's motion as a force per sample [N]."""
-        row = mass_rows(self.coupled)[self.decoupled.place]
+        row = self.coupled.mass_rows[self.decoupled.place]
         return float(np.sqrt(max(row @ self.platform.covariance @ row, 0.0)))
 
     @property
@@ -87,7 +84,7 @@ class DecoupledRecord(ComponentRecord):
     @property
     def rows(self) -> NDArray[np.intp]:
         """Which of the parameters of the coupled dynamics have a part in the reading."""
-        parts = [one.rows(self.coupled) for one in (self.decoupled, *self.others)]
+        parts = [one.rows for one in (self.decoupled, *self.others)]
         return np.unique(np.concatenate(parts))
 
     def parameter_errors(
@@ -106,7 +103,7 @@ class DecoupledRecord(ComponentRecord):
         own = self._effects(self.decoupled, of_mass=of_mass)
         if self.shared is None and not few:
             names = [*(self.coupled.parameters[number] for number in self.rows), *(MASS_PARAMETERS if of_mass else ())]
-            quantities = uncertain.within(self.decoupled.rows(self.coupled))
+            quantities = uncertain.within(self.decoupled.rows)
             slopes = through(own) @ self._by_parameters(self.decoupled, of_mass=of_mass)
             return Systematic(name, "dynamics", tuple(names), slopes, quantities @ quantities.T, quantities)
         # of all parameters few directions show: the rest is neither worked out nor kept sample by sample
@@ -151,12 +148,12 @@ class DecoupledRecord(ComponentRecord):
 
     def _by_parameters(self, one: DecoupledChannel, *, of_mass: bool) -> Array:
         """Those of `_effects` by a unit of each of its parameters and those of the mass, shape (k, p)."""
-        own = np.eye(one.rows(self.coupled).size)
+        own = np.eye(one.rows.size)
         return block_diag(own, self._acting_by_mass(one)) if of_mass else own
 
     def _numbers(self, one: DecoupledChannel, uncertain: _Uncertain) -> Array:
         """Those of `_effects` by each of the independent numbers that nothing is known of, shape (k, r)."""
-        quantities = uncertain.within(one.rows(self.coupled))
+        quantities = uncertain.within(one.rows)
         return np.asarray(self._by_parameters(one, of_mass=uncertain.of_mass.size > 0) @ quantities)
 
     def _acting_by_mass(self, one: DecoupledChannel) -> Array:
@@ -169,6 +166,13 @@ class DecoupledRecord(ComponentRecord):
 
     def _taken_off(self, series: Array, other: DecoupledChannel) -> Array:
         return np.zeros_like(series) if self.shared is None else self.shared.slopes(series, other.place)
+
+    @property
+    def motion_across(self) -> tuple[Array, str] | None:
+        """What the accelerometers would read of motions across their axes, if as much moves there as along them."""
+        moving = self.platform.acceleration * IS_FORCE
+        slope = moving - moving.mean(axis=0)
+        return (slope, "the ground's accelerometers") if slope.any() else None
 
     def reading_of(self, felt: Array) -> Array:
         """Reading of the decoupled component under a part of the loads felt, shape (samples,) [N]."""
@@ -187,11 +191,11 @@ class DecoupledRecord(ComponentRecord):
 
     def felt_under(self, item: SystematicParameter) -> Array:
         """Load felt under a unit of an unknown of the ground's motion, shape (samples,)."""
-        return self._felt(-item.slope @ mass_rows(self.coupled).T)
+        return self._felt(-item.slope @ self.coupled.mass_rows.T)
 
     def as_force(self, item: SystematicParameter) -> Array:
         """Force that a unit of an unknown of the ground's motion is taken for by a direct inverse, (samples,)."""
-        return np.asarray((item.slope @ mass_rows(self.coupled).T)[:, self.decoupled.place])
+        return np.asarray((item.slope @ self.coupled.mass_rows.T)[:, self.decoupled.place])
 
     @property
     def unknowns(self) -> tuple[SystematicParameter, ...]:
@@ -263,24 +267,3 @@ def load_felt(dynamics: CoupledDynamics, net: Array, *, interval: float) -> Arra
     if not net.any():
         return np.zeros_like(net)
     return dynamics.load_felt(upsample_compensated(net), interval=interval / FINE, every=FINE)
-
-
-@lru_cache(maxsize=4)  # the same for all components and all parts of a record
-def mass_slopes(mass: RigidMass) -> list[Array]:
-    """Derivatives of the mass matrix by mass, centre of gravity and the six elements of the inertia, (6, 6) each."""
-    values = mass.values
-    slopes = []
-    for place in range(values.size):
-        small = SMALL * max(abs(values[place]), 1e-3)
-        more, less = values.copy(), values.copy()
-        more[place] += small
-        less[place] -= small
-        slopes.append((RigidMass.of_values(more).matrix - RigidMass.of_values(less).matrix) / (2 * small))
-    return slopes
-
-
-def mass_rows(dynamics: CoupledDynamics) -> Array:
-    """Rows of the mass matrix that belong to the components, shape (n, 6); nothing without a mass."""
-    if dynamics.mass is None:
-        return np.zeros((len(dynamics.components), len(COMPONENTS)))
-    return dynamics.mass.matrix[[COMPONENTS.index(name) for name in dynamics.components]]

@@ -163,24 +163,47 @@ class Divided:
         Samples of the record.
     pieces
         The first sample of each part that has the contribution, and what it is there.
+    every
+        Samples of the record for each of the pieces, which may be on a slower clock.
     """
 
     name: str
     source: str
     samples: int
     pieces: tuple[tuple[int, Systematic | Noise], ...]
+    every: int = 1
 
     @property
     def deviation(self) -> Array:
         """Standard uncertainty of every sample, shape (n,) [N]."""
-        whole = np.zeros(self.samples)
+        whole = np.zeros(-(-self.samples // self.every))
         for first, piece in self.pieces:
             own = piece.deviation
             whole[first : first + own.size] = own
-        return whole
+        if self.every == 1:
+            return whole
+        return np.asarray(np.interp(np.arange(self.samples) / self.every, np.arange(whole.size), whole))
+
+    def on_its_clock(self, weights: Array) -> Array:
+        """Weights of the samples of the record (k, n) as weights of those of the pieces' clock, (k, m) [1].
+
+        Between the samples of a slower clock the slopes are straight lines, and after its last one they are held.
+        """
+        every = self.every
+        if every == 1:
+            return weights
+        count = -(-weights.shape[1] // every)
+        whole = np.zeros((weights.shape[0], count, every))
+        whole.reshape(weights.shape[0], -1)[:, : weights.shape[1]] = weights
+        later = whole @ (np.arange(every) / every)
+        own: Array = whole.sum(axis=2)
+        own[:, :-1] -= later[:, :-1]
+        own[:, 1:] += later[:, :-1]
+        return own
 
     def covariance_of(self, weights: Array) -> Array:
         """Covariance of weighted sums of the samples, shape (k, k) [N^2]; weights of shape (k, n) [1]."""
+        weights = self.on_its_clock(weights)
         whole = np.zeros((weights.shape[0], weights.shape[0]))
         common = np.zeros((weights.shape[0], 0))
         for first, piece in self.pieces:

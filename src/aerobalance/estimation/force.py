@@ -8,7 +8,7 @@ warnings.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from itertools import chain
@@ -21,19 +21,23 @@ from aerobalance.balance.loads import Loads
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.reduction import reduce_outputs
 from aerobalance.balance.zeros import Zero
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import AnyDynamics, IndependentDynamics, dynamics_of
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.model_check import checked
 from aerobalance.estimation.checks.outliers import impossible_channels, without_wild_samples
-from aerobalance.estimation.component_force import Method, noise_of_component
+from aerobalance.estimation.component_force import Method, by_smoother, noise_of_component
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.force_collector import ForceCollector
 from aerobalance.estimation.force_parts import DIVISION, Division, ForcePart, Joiner, WorstPart
 from aerobalance.estimation.forces import ForceRecord, ForceSettings, forces_of, with_matrix
-from aerobalance.estimation.record import FEWEST_SAMPLES, IndependentRecord
+from aerobalance.estimation.independent_record import IndependentRecord
+from aerobalance.estimation.record import FEWEST_SAMPLES
+from aerobalance.estimation.record_clock import RecordClock
 from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
+from aerobalance.estimation.working_clock import DecimatedRecord, MadeReady, RecordAsItIs, slower_clock
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, is_gauge
 from aerobalance.recording.doubts import Doubt
@@ -103,10 +107,6 @@ def estimate_force(
     return ForceWork(run, model, made_ready=made_ready, noise=calm, settings=settings).force()
 
 
-MadeReady = Callable[[Recording | Loads], Recording | Loads]
-"""Makes balance loads of gauge outputs, and gives loads as they are."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceWork:
     """What the forces of a record of any length are worked out from.
@@ -128,11 +128,33 @@ class ForceWork:
     """
 
     record: LongRecord[Recording | Loads]
-    dynamics: IndependentDynamics | CoupledDynamics
+    dynamics: BalanceDynamics
     made_ready: MadeReady = lambda given: given
     noise: Recording | Loads | Mapping[str, NoiseSpectrum] | None = None
     settings: ForceSettings = field(default_factory=ForceSettings)
     division: Division = field(default_factory=lambda: DIVISION)
+    _working: list[RecordAsItIs | DecimatedRecord] = field(init=False, default_factory=list)
+
+    @property
+    def working(self) -> RecordAsItIs | DecimatedRecord:
+        """The record on the clock that its forces are worked out on."""
+        if not self._working:
+            self._working.append(self._on_slower_clock() or RecordAsItIs(self.record, self.made_ready))
+        return self._working[0]
+
+    def _on_slower_clock(self) -> DecimatedRecord | None:
+        """The record on a slower clock, where it is long and the method can do with it."""
+        own = self.settings
+        if (
+            self.noise is not None
+            or own.align
+            or own.keep_outliers
+            or not by_smoother(method=own.method, bandwidth=own.bandwidth)
+        ):
+            return None
+        if self.record.samples <= self.division.length(self.dynamics):
+            return None
+        return slower_clock(self.record, self.dynamics, self.made_ready)
 
     def parts(self) -> Iterator[ForcePart]:
         """Forces of the record [N, N*m], part by part; a record that is short enough is one part.
@@ -142,17 +164,19 @@ class ForceWork:
         FitError
             As in `estimate_force`; no part of the record has readings.
         """
-        record, parts = self.record, self.division.parts(self.record, self.dynamics)
+        record = self.working
+        parts = self.division.parts(record, self.dynamics, every=record.every)
+        clock = RecordClock(record) if isinstance(record, DecimatedRecord) else None
         told = PartWarnings(record)
         joiner: Joiner | None = None
         silent: list[Part] = []
         for part in PROGRESS.each(parts, "part"):
             force: Force | None = None
             with told.of(part):
-                given = self._ready(part)
+                given = record.part(part.begin, part.end)
                 names = _present(given, self.dynamics)
                 if part.count == 1 or _has_readings(given, names):
-                    force = _undivided(given, self.dynamics, self.settings, noise=self.noise, whole=part.count == 1)
+                    force = self._undivided(given, whole=part.count == 1 and clock is None)
             del given  # the next part needs the memory
             if joiner is None:
                 joiner = Joiner(record, tuple(force or names), self.division, told)
@@ -160,6 +184,8 @@ class ForceWork:
                 silent.append(part)
             joined = joiner.joined(part, force)
             del force
+            if clock is not None:
+                joined = clock.sampled(joined)
             yield joined
             del joined
         if len(silent) == len(parts):
@@ -172,7 +198,8 @@ class ForceWork:
         """Forces of a record that is in memory, its parts put together."""
         parts = self.parts()
         first = next(parts)
-        if first.part.count == 1 and isinstance(first.force, Force):
+        working = self.working
+        if first.part.count == 1 and isinstance(first.force, Force) and working.every == 1:
             return first.force
         worst = WorstPart()
 
@@ -186,7 +213,7 @@ class ForceWork:
                 raise ValueError("no part of the record has a force")
             return self.force_of(worst.part), worst.told(self.record)
 
-        found = ForceCollector(self.record.samples).collected(watched())
+        found = ForceCollector(self.record.samples, working.samples, working.every).collected(watched())
         # the whole record is worked out where it is asked for: as much work as the forces of some of its parts
         return Force(found, cache(self._whole), self.settings, worst=force_of_worst)
 
@@ -202,13 +229,16 @@ class ForceWork:
         """Forces of one part with all that their uncertainty consists of; what is to be said of it was said before."""
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", DataQualityWarning)
-            return _undivided(self._ready(part), self.dynamics, self.settings, noise=self.noise, whole=True)
+            return self._undivided(self.working.part(part.begin, part.end), whole=True)
 
-    def _ready(self, part: Part) -> Recording | Loads:
-        return self.made_ready(self.record.part(part.begin, part.end))
+    def _undivided(self, given: Recording | Loads, *, whole: bool) -> Force:
+        """Forces of a part; wild samples of a record on a slower clock were looked for on its own."""
+        slower = self.working.every > 1
+        settings = replace(self.settings, keep_outliers=True) if slower else self.settings
+        return _undivided(given, self.dynamics, settings, noise=self.noise, whole=whole)
 
 
-def _present(given: Recording | Loads, dynamics: IndependentDynamics | CoupledDynamics) -> tuple[str, ...]:
+def _present(given: Recording | Loads, dynamics: BalanceDynamics) -> tuple[str, ...]:
     """Components of the dynamics that a run has."""
     recording = given.recording if isinstance(given, Loads) else given
     return tuple(name for name in dynamics.components if name in recording)
@@ -223,7 +253,7 @@ def _has_readings(given: Recording | Loads, components: Sequence[str]) -> bool:
 
 def _undivided(
     given: Recording | Loads,
-    model: IndependentDynamics | CoupledDynamics,
+    model: BalanceDynamics,
     settings: ForceSettings,
     *,
     noise: Recording | Loads | Mapping[str, NoiseSpectrum] | None,
@@ -245,7 +275,7 @@ def _undivided(
             f"{given.name}: the loads were worked out from gauge outputs, and the errors of the balance matrix are "
             "not in the uncertainty: give the loads as reduce_outputs returns them, not their recording alone"
         )
-    seen = impossible_channels(given, model.components, coupled=isinstance(model, CoupledDynamics))
+    seen = impossible_channels(given, model)
     told = given.doubts if isinstance(given, Loads) else ()
     if not settings.keep_outliers:
         given, wild = without_wild_samples(given, model.components)
@@ -305,10 +335,12 @@ def force_record(
     settings = {"gravity": gravity, "gravity_uncertainty": gravity_uncertainty}
     if isinstance(model, CoupledDynamics):
         return CoupledRecord.of(run, model, noise=noise, **settings)
-    return IndependentRecord.of(run, model, **settings)
+    if isinstance(model, IndependentDynamics):
+        return IndependentRecord.of(run, model, **settings)
+    raise TypeError(f"there is no record of {type(model).__name__}")
 
 
-def _noise_of(loads: Loads, model: IndependentDynamics | CoupledDynamics) -> Array | None:
+def _noise_of(loads: Loads, model: BalanceDynamics) -> Array | None:
     """Covariance of the noise of a model's components, shape (n, n); None where the loads lack one or its noise."""
     if any(name not in loads.components for name in model.components):
         return None
@@ -317,7 +349,7 @@ def _noise_of(loads: Loads, model: IndependentDynamics | CoupledDynamics) -> Arr
     return found if np.diag(found).all() else None
 
 
-def _check_mass(loads: Loads, model: IndependentDynamics | CoupledDynamics) -> None:
+def _check_mass(loads: Loads, model: BalanceDynamics) -> None:
     """Refuse loads whose zero was read under the weight of another mass than the dynamics have."""
     put_back, gravity = loads.zero.weight, loads.zero.pull.acceleration
     size = float(np.linalg.norm(gravity))
@@ -364,9 +396,5 @@ def noise_spectra(
         The record lacks a component, is too short, or shows no noise.
     """
     record = force_record(calm, run.dynamics, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
-    if isinstance(record, CoupledRecord) and isinstance(run, CoupledRecord):
-        record = record.taken_with(record.dynamics, noise=run.noise)
-    return {
-        name: noise_of_component(component)
-        for name, component in record.component_records(interpolate_gaps(record.loads)).items()
-    }
+    records = record.with_noise(run.noise).component_records(interpolate_gaps(record.loads))
+    return {name: noise_of_component(component) for name, component in records.items()}

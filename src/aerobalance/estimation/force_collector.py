@@ -13,7 +13,7 @@ from aerobalance.estimation.force_parts import ForcePart
 from aerobalance.estimation.result import ComponentForce, ForceSummary
 from aerobalance.estimation.spectra.line_noise import Line
 from aerobalance.estimation.steps import Step
-from aerobalance.estimation.sums import ForceSums, Key, SpectrumSums, segment_length
+from aerobalance.estimation.sums import ForceSums, Key, SampledForce, SpectrumSums, segment_length
 from aerobalance.recording.channel import Array
 from aerobalance.recording.doubts import Assumption, Doubt, of_all_parts
 
@@ -30,11 +30,14 @@ class SummaryOfParts:
     component
         Which component.
     samples
-        Samples of the whole record.
+        Samples of the whole record, on the clock that it is worked out on.
+    every
+        Samples of the record for each of that clock.
     """
 
     component: str
     samples: int
+    every: int = 1
     _sums: ForceSums | None = None
     _spectrum: SpectrumSums = field(init=False)
     _methods: list[str] = field(default_factory=list)
@@ -50,7 +53,7 @@ class SummaryOfParts:
     _assumed: dict[str, Assumption] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self._spectrum = SpectrumSums(segment_length(self.samples))
+        self._spectrum = SpectrumSums(segment_length(self.samples), self.every)
 
     def add(self, given: ForcePart) -> None:
         """Add the next part."""
@@ -68,12 +71,13 @@ class SummaryOfParts:
         contributions = [one.within(kept) for one in given.contributions[self.component]]
         if self._sums is None:
             self._sums = ForceSums(found.learned is not None)
-        self._sums.add(values[kept], u[kept], contributions, first=given.first + kept.start)
+        sampled = given.sampled[self.component] if given.sampled else None
+        self._sums.add(values[kept], u[kept], contributions, first=given.first + kept.start, sampled=sampled)
         if there.size >= self._spectrum.length:
             self._spectrum.add(values[kept], contributions)
         count = own.stop - own.start
         self._worked += count
-        self._noise += count * found.noise**2
+        self._noise += count * self.every * found.noise**2  # of a reading of the record
         self._after += count * (found.noise_gain * found.noise) ** 2
         self._bandwidth = max(self._bandwidth, found.bandwidth)
         self._methods += [found.method] if found.method not in self._methods else []
@@ -128,9 +132,15 @@ class ForceCollector:
     ----------
     samples
         Samples of the record.
+    working
+        Those of the clock that it is worked out on.
+    every
+        Samples of the record for each of them.
     """
 
     samples: int
+    working: int
+    every: int = 1
 
     def collected(self, parts: Iterable[ForcePart]) -> dict[str, ComponentForce]:
         """Return the forces of the whole record, by component."""
@@ -141,11 +151,12 @@ class ForceCollector:
         for one in parts:
             for name, part in one.values.items():
                 if name not in summaries:
-                    summaries[name] = SummaryOfParts(name, self.samples)
+                    summaries[name] = SummaryOfParts(name, self.working, self.every)
                     values[name], us[name] = np.full((2, self.samples), np.nan)
                     pieces[name] = {}
-                own = slice(one.first, one.first + part.size)
-                values[name][own], us[name][own] = part, one.uncertainty[name]
+                found = one.sampled.get(name, SampledForce(one.first, 1, part, one.uncertainty[name]))
+                own = slice(found.first, found.first + found.values.size)
+                values[name][own], us[name][own] = found.values, found.uncertainty
                 for source in one.contributions[name]:
                     pieces[name].setdefault((source.name, source.source), []).append((one.first, source))
                 summaries[name].add(one)
@@ -173,7 +184,8 @@ class ForceCollector:
             assumptions=summary.assumptions,
             budget=summary.budget,
             contributions=tuple(
-                Divided(name, source, self.samples, tuple(found)) for (name, source), found in pieces.items()
+                Divided(name, source, self.samples, tuple(found), self.every)
+                for (name, source), found in pieces.items()
             ),
             summary=summary,
             doubts=summary.doubts,

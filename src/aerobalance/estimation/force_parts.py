@@ -13,22 +13,23 @@ standard deviation of a mixture, w (1 - w) times the square of the difference.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
 
-from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.independent import IndependentDynamics
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.dynamics.modal import Mode
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.error_sources import Noise, Systematic, undivided
 from aerobalance.estimation.steps import Step
+from aerobalance.estimation.sums import SampledForce
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.part_warnings import PartWarnings
 from aerobalance.recording.parts import LongRecord, Part, parts_of
+from aerobalance.recording.recording import Recording
 
 JOINTS: Final = "joints of the parts"
 """Name of what the forces of two parts differ by where they meet."""
@@ -43,6 +44,8 @@ class Division:
     readings
         Readings of all components together that are worked on at once, at most: a part has the largest multiple of
         `round_to` samples that keeps to it.
+    decimated
+        Times as many readings of the record, at most, where its forces are worked out on a slower clock.
     round_to
         Samples.
     decay_times
@@ -55,20 +58,26 @@ class Division:
     """
 
     readings: int = 6 * 57344
+    decimated: int = 5
     round_to: int = 1 << 12
     decay_times: float = 4.0
     margin: tuple[int, float] = (1 << 12, 1 / 8)
     same_step: tuple[float, float] = (5.0, 2.0)
 
-    def parts(self, record: LongRecord[Any], dynamics: IndependentDynamics | CoupledDynamics) -> tuple[Part, ...]:
-        """Return the parts of a record."""
-        length = max(self.readings // len(dynamics.components) // self.round_to, 1) * self.round_to
+    def length(self, dynamics: BalanceDynamics, *, every: int = 1) -> int:
+        """Return the samples of a part, on a clock with one for so many of the record."""
+        readings = self.readings * self.decimated // max(every, self.decimated)
+        return max(readings // len(dynamics.components) // self.round_to, 1) * self.round_to
+
+    def parts(self, record: LongRecord[Any], dynamics: BalanceDynamics, *, every: int = 1) -> tuple[Part, ...]:
+        """Return the parts of a record, whose clock has one sample for so many of the record's own."""
+        length = self.length(dynamics, every=every)
         if record.samples <= length:
             return parts_of(record.samples, length=length, margin=0)
-        slowest = min(_decay(mode) for mode in _modes(dynamics))
+        slowest = min(_decay(mode) for mode in dynamics.modes)
         least, most = self.margin
         wanted = self.decay_times / max(slowest, 1e-300) * record.rate
-        margin = int(min(max(wanted, least), most * length))
+        margin = int(min(max(wanted, least / every), most * length))
         return parts_of(record.samples, length=length, margin=margin)
 
 
@@ -80,12 +89,6 @@ def _decay(mode: Mode) -> float:
     """Rate at which the free motion of a mode decays [1/s]."""
     ratio = mode.damping_ratio
     return mode.angular_frequency * (ratio if ratio <= 1 else 1 / (ratio + float(np.sqrt(ratio**2 - 1))))
-
-
-def _modes(dynamics: IndependentDynamics | CoupledDynamics) -> list[Mode]:
-    if isinstance(dynamics, CoupledDynamics):
-        return list(dynamics.modes)
-    return [mode for one in dynamics.values() for mode in one.modes]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -110,6 +113,11 @@ class ForcePart:
         Which part of the record it is, in words.
     doubts
         What the part says against its forces, and where it is joined against that of the part before.
+    sampled
+        Force and uncertainty on the record's own clock by component, where that is faster; nothing where it is not.
+    clock
+        That clock: a recording of the channels without their samples, and which of its samples they are; None where
+        the part's own recording is it.
     """
 
     part: Part
@@ -121,6 +129,18 @@ class ForcePart:
     force: Force | None
     where: str = ""
     doubts: tuple[Doubt, ...] = ()
+    sampled: Mapping[str, SampledForce] = field(default_factory=dict)
+    clock: tuple[Recording, slice] | None = None
+
+    @property
+    def samples_of_record(self) -> tuple[Recording, slice, Mapping[str, Array], Mapping[str, Array]] | None:
+        """The record's clock, which of its samples these are, force and uncertainty there; None where is none."""
+        if self.force is None:
+            return None
+        if self.clock is None:
+            return self.force.recording, self.own, self.values, self.uncertainty
+        found = self.sampled.items()
+        return *self.clock, {name: one.values for name, one in found}, {name: one.uncertainty for name, one in found}
 
     @property
     def own(self) -> slice:

@@ -8,7 +8,6 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from scipy.special import ndtr
 
 from aerobalance.estimation.error_sources import Contribution, Noise, Systematic
 from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares, least_squares, whitened
@@ -16,14 +15,11 @@ from aerobalance.estimation.spectra.line_noise import Hum, Line, columns_of_line
 from aerobalance.estimation.spectra.noise_floor import Floor, with_floor
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, StateSpace
 from aerobalance.estimation.step_search import StepSearch
-from aerobalance.estimation.steps import Step, columns_of, response_to, shape_of
+from aerobalance.estimation.steps import Step, columns_of, response_to, shape_of, side_variance
 from aerobalance.recording.channel import Array
 
 FREQUENCIES: Final = 1 << 14
 """Steps from zero to half the sampling rate in the spectrum of the error: finer than the resonance is wide."""
-
-NEVER: Final = 1e-12
-"""Probability that is taken for none."""
 
 LARGEST_HUM: Final = 0.1
 """Amplitude of a line over half the span of the readings above which it is no hum but what was recorded."""
@@ -245,13 +241,10 @@ class SmootherResult:
         """Errors from the sizes of constant and steps and from the steps' instants, with its `estimator`."""
         reading, filter_ = self.reading, self.filter
         heights = self.sizes[1 : 1 + len(self.steps)]
-        time = np.arange(reading.values.size) * reading.interval
+        time = reading.interval * np.arange(reading.values.size, dtype=np.float64)
         edge = np.zeros(time.size)
-        for step, size in zip(self.steps, heights, strict=True):
-            if step.duration <= 0:  # each sample lies before or after it with some probability
-                after = ndtr((time - step.instant) / max(step.instant_uncertainty, 1e-12 * reading.interval))
-                chance = after * (1 - after)
-                edge += size**2 * np.where(chance > NEVER, chance, 0.0)
+        for step, height in zip(self.steps, heights, strict=True):
+            edge += side_variance(step, time, height=float(height), interval=reading.interval)
         numbers = range(1, 1 + heights.size)
         names = ["constant", *(f"step {i}" for i in numbers), *(f"instant of step {i}" for i in numbers)]
         for line in reading.hum:

@@ -15,14 +15,13 @@ import numpy as np
 
 from aerobalance.balance.calibration_nonlinearity import NonlinearErrors
 from aerobalance.balance.loads import Loads, static_uncertainty
-from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.independent import IndependentDynamics
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.estimation.component_force import Fitted, Method, by_smoother, estimated
 from aerobalance.estimation.correlated_noise import NoiseMatrix, SharedNoise, as_expected, shared_noise
 from aerobalance.estimation.coupled_record import CoupledRecord
-from aerobalance.estimation.decoupled_record import mass_rows
+from aerobalance.estimation.independent_record import IndependentRecord
 from aerobalance.estimation.missing_readings import MissingReadings
-from aerobalance.estimation.record import ComponentRecord, IndependentRecord
+from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.result import ComponentForce, with_balance, with_errors, with_few
 from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
@@ -37,6 +36,7 @@ PASSES: Final = 2
 
 SETTLED: Final = 5.0
 """Change of what fills a gap, over the noise of a reading, which no force would notice."""
+
 
 ForceRecord = IndependentRecord | CoupledRecord
 """A recording with the dynamics of its components, made ready for the estimator."""
@@ -81,7 +81,7 @@ class ForceSettings:
 
 
 def with_matrix(
-    parts: Mapping[str, ComponentForce], loads: Loads, dynamics: IndependentDynamics | CoupledDynamics
+    parts: Mapping[str, ComponentForce], loads: Loads, dynamics: BalanceDynamics
 ) -> dict[str, ComponentForce]:
     """Return the forces with the errors of the balance matrix in their uncertainty."""
     highest = max(found.bandwidth for found in parts.values())
@@ -118,7 +118,7 @@ def forces_of(
     fitted = partial(Fitted.of, hum=settings.hum, align=settings.align)
     missing: MissingReadings | None = None
     with PROGRESS.stage(0.0, 0.5, "spectrum and steps"):
-        if isinstance(record, CoupledRecord) and record.has_gaps and MissingReadings.are_few(record):
+        if record.has_gaps and MissingReadings.are_few(record):
             fits, filled, missing = _with_gaps_found(record, fitted, noises=noises)
         else:
             fits, filled = _with_gaps_filled(
@@ -185,7 +185,7 @@ def _with_gaps_filled(
 
 
 def _with_gaps_found(
-    record: CoupledRecord, fitted: Callable[[ComponentRecord], Fitted], *, noises: Mapping[str, NoiseSpectrum] | None
+    record: ForceRecord, fitted: Callable[[ComponentRecord], Fitted], *, noises: Mapping[str, NoiseSpectrum] | None
 ) -> tuple[dict[str, Fitted], Array, MissingReadings]:
     """Return fits by component, and the readings with few that are missing in their places, and how well known.
 
@@ -222,17 +222,16 @@ def predicted_noise(fits: Mapping[str, Fitted], record: ForceRecord, *, filled: 
         As in `filled_by`.
     """
     learned = [fit.signal.learned for fit in fits.values()]
-    if isinstance(record, IndependentRecord) or not record.is_coupled:
+    if not record.is_coupled:
         return {}
     if any(one.color is not None for one in learned):
         return {}
-    mass = mass_rows(record.dynamics)
     spectra = NoiseMatrix.of(
         record.decoupled,
         learned,
         interval=record.interval,
         noise=record.noise,
-        ground=mass @ record.platform.covariance @ mass.T,
+        ground=record.motion_covariance,
     )
     residuals = np.column_stack([fit.smoothed.residuals for fit in fits.values()])
     present = np.column_stack([np.isfinite(record.loads[:, one.partners]).all(axis=1) for one in record.decoupled])

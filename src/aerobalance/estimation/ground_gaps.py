@@ -13,15 +13,16 @@ from typing import TypeGuard
 import numpy as np
 
 from aerobalance.estimation.force_smoother import SmootherResult, instant_columns
+from aerobalance.estimation.independent_record import SingleRecord, moves_along_axis
 from aerobalance.estimation.prior import whitened
-from aerobalance.estimation.record import ComponentRecord, SingleRecord
+from aerobalance.estimation.record import ComponentRecord
 from aerobalance.motion.gaps import GAP
 from aerobalance.motion.platform import SystematicParameter
 
 
 def has_hidden_motion(record: ComponentRecord) -> TypeGuard[SingleRecord]:
     """Return whether something of the ground's motion is hidden in a gap that the load can tell."""
-    return isinstance(record, SingleRecord) and any(_in_gap(item) for item in record.unknowns)
+    return moves_along_axis(record) and any(_in_gap(item) for item in record.unknowns)
 
 
 def with_hidden_motion(record: SingleRecord, fit: SmootherResult) -> SingleRecord:

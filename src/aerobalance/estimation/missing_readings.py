@@ -16,10 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.estimation.component_force import Fitted
-from aerobalance.estimation.coupled_record import CoupledRecord
-from aerobalance.estimation.decoupled_record import DecoupledRecord
 from aerobalance.estimation.error_sources import Systematic
 from aerobalance.estimation.prior import whitened
+from aerobalance.estimation.record import BalanceRecord, ComponentRecord
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.steps import columns_of
 from aerobalance.recording.channel import Array
@@ -50,14 +49,14 @@ class MissingReadings:
     root: Array
 
     @staticmethod
-    def are_few(record: CoupledRecord) -> bool:
+    def are_few(record: BalanceRecord) -> bool:
         """Whether there are so few missing readings that they can be found, on one clock of all channels."""
         count = int(np.count_nonzero(~np.isfinite(record.loads)))
         few = 0 < count <= MOST and count * len(record.loads) <= MOST_NUMBERS
         return few and len({channel.delay for channel in record.channels}) == 1
 
     @classmethod
-    def of(cls, record: CoupledRecord, fits: Mapping[str, Fitted], *, filled: Array) -> tuple[Array, MissingReadings]:
+    def of(cls, record: BalanceRecord, fits: Mapping[str, Fitted], *, filled: Array) -> tuple[Array, MissingReadings]:
         """Return the readings with their gaps filled, shape (samples, n), and how well.
 
         Parameters
@@ -108,13 +107,11 @@ class MissingReadings:
         return Systematic(name, "load", names, slopes, np.eye(len(names)), local=True)
 
 
-def _columns(record: object, missing: NDArray[np.bool_]) -> Array | None:
+def _columns(record: ComponentRecord, missing: NDArray[np.bool_]) -> Array | None:
     """Reading of a component under an impulse in the place of every missing reading, shape (samples, m).
 
     They are shifted from one: the ends of a record are farther from its middle than any of its modes rings.
     """
-    if not isinstance(record, DecoupledRecord):
-        return None
     count, found = len(missing), []
     for channel in range(missing.shape[1]):
         if not missing[:, channel].any():

@@ -92,6 +92,8 @@ class Observation:
         What the noise has beyond that; None if nothing is known of it.
     rising
         Whether the force was seen to be stronger where the balance weakens it than elsewhere.
+    decimated
+        Samples of a faster clock that each reading was made of; 1 where none were.
     """
 
     values: Array
@@ -102,6 +104,7 @@ class Observation:
     hum: tuple[float, ...] = ()
     color: ColoredNoise | ShapedNoise | None = None
     rising: bool = False
+    decimated: int = 1
 
     @property
     def present(self) -> NDArray[np.bool_]:

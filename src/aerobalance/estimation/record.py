@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.dynamics.independent import IndependentDynamics
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
+from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.modal import ModalModel
-from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.correlated_noise import SharedNoise
 from aerobalance.estimation.error_sources import Contribution, Systematic
 from aerobalance.estimation.prior import Observation
@@ -20,16 +20,32 @@ from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.motion.gaps import GAP
 from aerobalance.motion.platform import SystematicParameter
-from aerobalance.motion.single_axis import GroundMotion, load_from_ground
-from aerobalance.recording.channel import Array
-from aerobalance.recording.components import STANDARD_GRAVITY, acceleration_name
+from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import FitError
+from aerobalance.recording.noise import noise_covariance
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.resampling import fractional_delay
-from aerobalance.recording.sensors import corrected
+from aerobalance.recording.resampling import align_channels, fractional_delay, interpolate_gaps
 
 FEWEST_SAMPLES: Final = 32
 """Fewest readings of a component that a force is worked out for."""
+
+
+def component_channels(recording: Recording, components: Iterable[str]) -> tuple[Channel, ...]:
+    """Return the channels of components.
+
+    Raises
+    ------
+    FitError
+        One has too few readings.
+    """
+    channels = tuple(recording.channel(name) for name in components)
+    for channel in channels:
+        count = int(np.count_nonzero(np.isfinite(channel.values)))
+        if count < FEWEST_SAMPLES:
+            raise FitError(
+                f"{recording.name}: {count} readings of {channel.name}; a force needs at least {FEWEST_SAMPLES}"
+            )
+    return channels
 
 
 def check_length(recording: Recording, component: str, *, frequency: float) -> None:
@@ -144,6 +160,7 @@ class ComponentRecord(ABC):
             input_density=self.input_noise**2 * self.interval,
             noise=channel.noise,
             hum=hum,
+            decimated=self.recording.decimated,
         )
         if self.noise is not None:
             color = self.noise.colored_part(self.recording.whole_duration)
@@ -151,6 +168,23 @@ class ComponentRecord(ABC):
         if self.shared is not None:
             return replace(reading, noise=self.shared.white, color=self.shared.color)
         return reading
+
+    @property
+    @abstractmethod
+    def rows(self) -> NDArray[np.intp]:
+        """Which of the parameters of the dynamics have a part in the reading."""
+
+    @abstractmethod
+    def reading_of(self, felt: Array) -> Array:
+        """Return the reading under a part of the loads felt, shapes (samples,) and (samples, n) [N, N*m]."""
+
+    @property
+    @abstractmethod
+    def motion_across(self) -> tuple[Array, str] | None:
+        """What accelerometers read across their axes if as much moves there, a slope as of `unknowns`, and their name.
+
+        None where nothing moves or where what is across is taken into account.
+        """
 
     @abstractmethod
     def parameter_errors(
@@ -190,7 +224,7 @@ class ComponentRecord(ABC):
 
     @property
     def hides_motion(self) -> NDArray[np.bool_]:
-        """Where a channel of the ground's motion has a gap, shape (n,)."""
+        """Where a gap hides motion of the ground that is not looked for in the load, shape (n,)."""
         found = np.zeros(self.recording.samples, dtype=bool)
         for item in self.unknowns:
             if item.name.startswith(GAP):
@@ -235,194 +269,109 @@ class ComponentRecord(ABC):
         )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class SingleRecord(ComponentRecord):
-    """One component that is not coupled with others, with the ground's motion along it.
-
-    Attributes
-    ----------
-    dynamics
-        The balance.
-    motion
-        The ground's motion.
-    """
-
-    dynamics: Dynamics
-    motion: GroundMotion
-
-    @classmethod
-    def of(
-        cls, recording: Recording, dynamics: Dynamics, motion: GroundMotion, *, noise: NoiseSpectrum | None = None
-    ) -> SingleRecord:
-        """Return the record of a recording as it was written: what its channels' filters have done is undone first."""
-        return cls(corrected(recording), dynamics, motion, noise=noise)
-
-    @property
-    def input_noise(self) -> float:
-        """White noise of the ground's motion as a force per sample [N]."""
-        return self.dynamics.mass * self.motion.noise
-
-    @property
-    def motion_source(self) -> str:
-        """Channels that the noise of the ground's motion comes from."""
-        given = (acceleration_name("ground", self.dynamics.component), "pitch")
-        names = [name for name in given if name in self.recording]
-        return " and ".join(names) or "ground_acceleration"
-
-    @property
-    def assumptions(self) -> tuple[str, ...]:
-        """What had to be taken as zero because the recording does not have it."""
-        return self.motion.assumptions
-
-    @property
-    def from_ground(self) -> Array:
-        """Load that the ground's motion alone makes the balance feel, shape (n,) [N]."""
-        delay = self.recording.channel(self.dynamics.component).delay
-        return load_from_ground(self.motion, self.dynamics, rate=self.recording.rate, load_delay=delay)
-
-    @property
-    def motion_force(self) -> Array:
-        """Force of the ground's motion on the moving mass at the load's sampling instants, shape (n,) [N]."""
-        known = self.motion.force(self.dynamics.mass) + self.motion_error
-        lag = self.dynamics.delay + self.recording.channel(self.dynamics.component).delay - self.motion.delay
-        if not lag or not known.any():
-            return known
-        return fractional_delay(known, delay=lag, interval=self.interval)
-
-    def with_motion(self, change: Array) -> SingleRecord:
-        """The same record with so much added to the specific force of the ground, shape (n,) [m/s^2]."""
-        motion = replace(self.motion, specific_force=self.motion.specific_force + change)
-        return replace(self, motion=motion)
-
-    def with_dynamics(self, other: Dynamics) -> SingleRecord:
-        """The same record with other dynamics, whose mass has another weight in the zero that the load counts from."""
-        shift = (other.mass - self.dynamics.mass) * self.motion.gravity_on_zero
-        channel = self.recording.channel(self.dynamics.component)
-        moved = replace(channel, values=channel.values + shift)
-        recording = replace(self.recording, channels={**self.recording.channels, channel.name: moved})
-        return replace(self, recording=recording, dynamics=other)
-
-    def parameter_errors(
-        self,
-        values: Callable[[], Array],
-        again: Callable[[ComponentRecord], Array],
-        through: Through,
-        *,
-        few: bool = False,
-    ) -> Systematic:
-        """Return the error of the force from errors of the parameters [N]: each is changed, and the method run again.
-
-        The slopes of Eq. (17) of [Gorbushin2020]_ would say too much where the smoother's prior has no force at a
-        frequency, and too little where a wrong frequency makes a wrong step.
-        """
-        d = self.dynamics
-        slopes = np.zeros((self.recording.samples, len(d.parameters)))
-        deviations = np.sqrt(np.diag(d.covariance))
-        known = values() if (deviations > 0).any() else np.zeros(0)
-        for place, deviation in enumerate(deviations):
-            if deviation > 0:
-                changed = d.values
-                changed[place] += PROBE * deviation
-                moved = again(self.with_dynamics(d.with_parameters(changed)))
-                slopes[:, place] = (moved - known) / (PROBE * deviation)
-        return Systematic(PARAMETERS_NAME, "dynamics", d.parameters, slopes, d.covariance)
-
-    def felt_under(self, item: SystematicParameter) -> Array:
-        """Load felt under a unit of an unknown of the ground's motion, shape (n,)."""
-        unit, delay = replace(self.motion, specific_force=item.slope), self.recording.channel(self.dynamics.component)
-        return load_from_ground(unit, self.dynamics, rate=self.recording.rate, load_delay=delay.delay)
-
-    def as_force(self, item: SystematicParameter) -> Array:
-        """Force that a unit of an unknown of the ground's motion is taken for by a direct inverse, shape (n,)."""
-        return self.dynamics.mass * item.slope
-
-    @property
-    def unknowns(self) -> tuple[SystematicParameter, ...]:
-        """What holds along the ground's motion and is not known exactly."""
-        return self.motion.unknowns
-
-    def reading_errors(self, values: Array, through: Through) -> list[Contribution]:
-        """Gain and zero of the load's channel: a gain acts on all that the readings say of the net force."""
-        channel = self.recording.channel(self.dynamics.component)
-        net = values + self.motion.force(self.dynamics.mass)
-        unknown = (
-            ("gain of the readings", net, channel.relative_uncertainty),
-            ("zero of the readings", np.ones(values.size), channel.zero_uncertainty),
-        )
-        return [
-            Systematic(name, channel.name, (name,), slope[:, None], np.array([[u**2]]))
-            for name, slope, u in unknown
-            if u > 0
-        ]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class IndependentRecord:
-    """A recording of components that are not coupled.
+class BalanceRecord(ABC):
+    """A recording with the dynamics of n components, made ready for the estimator of one component.
 
     Attributes
     ----------
     recording
         The recording.
     dynamics
-        Dynamics of the components that are in it.
-    motions
-        What the ground end does along each of them.
+        The dynamics of the components that are worked out.
     """
 
+    __slots__ = ()
     recording: Recording
-    dynamics: IndependentDynamics
-    motions: Mapping[str, GroundMotion]
+    dynamics: BalanceDynamics
 
-    @classmethod
-    def of(
-        cls,
-        recording: Recording,
-        dynamics: IndependentDynamics,
-        *,
-        gravity: float = STANDARD_GRAVITY,
-        gravity_uncertainty: float = 0.0,
-    ) -> IndependentRecord:
-        """Take those of the components that are in a recording as it was written.
+    @property
+    def interval(self) -> float:
+        """Time between samples [s]."""
+        return 1 / self.recording.rate
 
-        Raises
-        ------
-        FitError
-            A component has too few readings, or the record is shorter than its period.
-        """
-        recording = corrected(recording)
-        known = IndependentDynamics({name: part for name, part in dynamics.items() if name in recording})
-        for name in known:
-            count = int(np.count_nonzero(np.isfinite(recording.channel(name).values)))
-            if count < FEWEST_SAMPLES:
-                raise FitError(
-                    f"{recording.name}: {count} readings of {name}; a force needs at least {FEWEST_SAMPLES}"
-                )
-            check_length(recording, name, frequency=known[name].natural_frequency)
-        settings = {"gravity": gravity, "gravity_uncertainty": gravity_uncertainty}
-        return cls(recording, known, {name: GroundMotion.of(recording, name, **settings) for name in known})
+    @property
+    def channels(self) -> tuple[Channel, ...]:
+        """The components' channels."""
+        return tuple(self.recording.channel(name) for name in self.dynamics.components)
 
     @property
     def loads(self) -> Array:
         """Readings of the components, shape (samples, n) [N, N*m]; NaN where missing."""
-        return np.column_stack([self.recording.channel(name).values for name in self.dynamics])
+        return np.column_stack([channel.values for channel in self.channels])
+
+    @property
+    def noise(self) -> Array:
+        """Covariance of the noise of a reading, shape (n, n) [N^2, N^2*m, N^2*m^2]."""
+        return noise_covariance(self.channels, interpolate_gaps(self.loads))
+
+    @property
+    @abstractmethod
+    def from_ground(self) -> Array:
+        """Loads felt under gravity and the ground's motion alone, on the clock, shape (samples, n) [N, N*m]."""
+
+    @property
+    @abstractmethod
+    def motion_covariance(self) -> Array:
+        """Covariance of the white noise of the ground's motion as a load per sample, shape (n, n)."""
+
+    @property
+    @abstractmethod
+    def decoupled(self) -> tuple[DecoupledChannel, ...]:
+        """How each component is decoupled from the others."""
+
+    @property
+    def is_coupled(self) -> bool:
+        """Whether the force of some component needs the readings of another."""
+        return not all(one.alone for one in self.decoupled)
 
     @property
     def has_gaps(self) -> bool:
-        """False: no force needs the readings of another component."""
-        return False
+        """True where readings are missing that the force of another component needs."""
+        return self.is_coupled and not np.isfinite(self.loads).all()
 
+    @abstractmethod
+    def is_uncertain(self, component: str) -> bool:
+        """Return whether a component's force depends on parameters of the dynamics that are not known exactly."""
+
+    @abstractmethod
     def filled_by(self, forces: Mapping[str, Array], *, filled: Array) -> Array:
-        """The readings as they are filled: nothing is filled, as no force needs it."""
-        return filled
+        """Return readings with their gaps filled by what forces make the balance read, shape (samples, n).
 
-    def component_records(
-        self, filled: Array, *, noises: Mapping[str, NoiseSpectrum] | None = None
-    ) -> dict[str, SingleRecord]:
-        """The records of the components, by name; as `CoupledRecord.component_records`, but gaps stay gaps."""
-        spectra = {} if noises is None else noises
-        return {name: self.component_record(name, filled, noise=spectra.get(name)) for name in self.dynamics}
+        Parameters
+        ----------
+        forces
+            The forces of all components, shape (samples,) each.
+        filled
+            The readings with what the gaps were filled with before, shape (samples, n).
+        """
 
+    @abstractmethod
+    def taken_with(self, dynamics: Any, *, noise: Array | None = None) -> BalanceRecord:
+        """Return the same record with other dynamics of its kind, or another covariance of the readings' noise."""
+
+    def with_noise(self, noise: Array) -> BalanceRecord:
+        """Return the same record with another covariance of the noise of a reading, shape (n, n)."""
+        return self.taken_with(self.dynamics, noise=noise)
+
+    def reading(self, place: int, *, on_clock_of: int, filled: Array, model: ModalModel | None = None) -> Array:
+        """Return the reading of a decoupled component at the instants of a component's channel, (samples,) [N, N*m].
+
+        Parameters
+        ----------
+        place, on_clock_of
+            Rows of the two.
+        filled
+            The readings without gaps, as in `component_records`; the load from the ground's motion is taken off.
+        model
+            Another model in the place of the component's own.
+        """
+        channel, decoupled = self.channels[on_clock_of], self.decoupled[place]
+        own = align_channels(filled, self.channels, to=channel, interval=self.interval)
+        ground = fractional_delay(self.from_ground, delay=channel.delay, interval=self.interval)
+        decoupled = decoupled if model is None else replace(decoupled, dynamics=model)
+        return decoupled.reading(own - ground, interval=self.interval)
+
+    @abstractmethod
     def component_record(
         self,
         component: str,
@@ -430,8 +379,23 @@ class IndependentRecord:
         *,
         noise: NoiseSpectrum | None = None,
         shared: SharedNoise | None = None,
-    ) -> SingleRecord:
-        """One component made ready."""
-        return SingleRecord(
-            self.recording, self.dynamics[component], self.motions[component], noise=noise, shared=shared
-        )
+    ) -> ComponentRecord:
+        """Return one component made ready; as in `component_records`, and with shared noise to be taken off."""
+
+    def component_records(
+        self, filled: Array, *, noises: Mapping[str, NoiseSpectrum] | None = None
+    ) -> dict[str, ComponentRecord]:
+        """Return the components made ready, by name.
+
+        Parameters
+        ----------
+        filled
+            The readings with something in the place of those that are missing, shape (samples, n). A component's
+            reading stays missing where one that has a part in it is.
+        noises
+            Spectra of the noise of the components' readings, where they are known.
+        """
+        spectra = {} if noises is None else noises
+        return {
+            name: self.component_record(name, filled, noise=spectra.get(name)) for name in self.dynamics.components
+        }

@@ -11,10 +11,16 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from scipy.special import ndtr
 
 from aerobalance.estimation.prior import Observation
 from aerobalance.estimation.spectra.line_noise import columns_of_lines
 from aerobalance.recording.channel import Array
+from aerobalance.recording.decimation import SPAN, decimation_filter
+
+NEVER: Final = 1e-12
+"""Probability that is taken for none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,15 +135,59 @@ def response_to(step: Step, reading: Observation) -> Array:
     out[first:last] = reading.dynamics.step_response(time, duration=step.duration)
     if last < count:
         out[last:] = 1.0 if last == first else out[last - 1]
+    if reading.decimated > 1:
+        _filter_beside(step, reading, out)
     return out
+
+
+def _filter_beside(step: Step, reading: Observation, response: Array) -> None:
+    """Let a response of shape (n,) be what the filter of a slower clock makes of it, in place.
+
+    Farther from the change than the filter reaches it is of frequencies at which the filter does nothing.
+    """
+    factor, interval = reading.decimated, reading.interval / reading.decimated
+    taps = decimation_filter(factor)
+    begin = int(np.floor(step.instant / reading.interval)) - SPAN
+    end = int(np.ceil((step.instant + step.duration) / reading.interval)) + SPAN + 1
+    begin, end = max(begin, 0), min(end, response.size)
+    if end > begin:
+        time = np.arange((begin - SPAN) * factor, (end - 1 + SPAN) * factor + 1) * interval - step.instant
+        fast = reading.dynamics.step_response(time, duration=step.duration)
+        response[begin:end] = sliding_window_view(fast, taps.size)[::factor] @ taps
 
 
 def shape_of(step: Step, reading: Observation) -> Array:
     """Return the force of a step of 1 N, shape (n,) [1]: 0 before, 1 after, and a straight line between."""
-    time = np.arange(reading.values.size) * reading.interval - step.instant
+    return shape_at(step, reading.interval * np.arange(reading.values.size, dtype=np.float64))
+
+
+def shape_at(step: Step, time: Array) -> Array:
+    """Return that force at times [s], shape (n,) [1]."""
+    since = time - step.instant
     if step.duration <= 0:
-        return (time >= 0).astype(np.float64)
-    return np.clip(time / step.duration, 0.0, 1.0)
+        return (since >= 0).astype(np.float64)
+    return np.clip(since / step.duration, 0.0, 1.0)
+
+
+def side_variance(step: Step, time: Array, *, height: float, interval: float) -> Array:
+    """Return the variance of the force as a sample lies before or after a step by some chance, shape (n,) [N^2].
+
+    Parameters
+    ----------
+    step
+        The step; one that takes its time has no sides.
+    time
+        Times of the samples, shape (n,) [s].
+    height
+        Its height [N].
+    interval
+        Time between samples [s].
+    """
+    if step.duration > 0:
+        return np.zeros(time.size)
+    after = ndtr((time - step.instant) / max(step.instant_uncertainty, 1e-12 * interval))
+    chance = after * (1 - after)
+    return np.asarray(height**2 * np.where(chance > NEVER, chance, 0.0))
 
 
 def columns_of(steps: Sequence[Step], reading: Observation) -> Array:

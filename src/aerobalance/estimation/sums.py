@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -30,6 +30,25 @@ LONGEST_SEGMENT: Final = 4096
 def segment_length(samples: int) -> int:
     """Return the number of samples of one segment of a record's spectrum."""
     return min(max(samples // SEGMENTS, 32), LONGEST_SEGMENT, samples)
+
+
+class SampledForce(NamedTuple):
+    """A force on the record's own clock, where that is faster than the one that it was worked out on.
+
+    Attributes
+    ----------
+    first
+        Number of its first sample in the record.
+    every
+        Samples of the record for each of the slower clock.
+    values, uncertainty
+        Force and its standard uncertainty, shape (n,) each [N].
+    """
+
+    first: int
+    every: int
+    values: Array
+    uncertainty: Array
 
 
 @dataclass(slots=True)
@@ -115,9 +134,18 @@ class ForceSums:
     rows: dict[Key, ContributionSums] = field(default_factory=dict)
 
     def add(
-        self, values: Array, uncertainty: Array, contributions: Sequence[Systematic | Noise], *, first: int = 0
+        self,
+        values: Array,
+        uncertainty: Array,
+        contributions: Sequence[Systematic | Noise],
+        *,
+        first: int = 0,
+        sampled: SampledForce | None = None,
     ) -> None:
-        """Add samples: force and uncertainty of shape (n,), and their contributions; the first is number `first`."""
+        """Add samples: force and uncertainty of shape (n,), and their contributions; the first is number `first`.
+
+        Where these are on a slower clock than the record, its extremes are those of the force `sampled` on its own.
+        """
         if not self.samples:
             self.level = float(values.mean())
         self.samples += values.size
@@ -125,7 +153,9 @@ class ForceSums:
         self.total += float(change.sum())
         self.square += float(change @ change)
         self.variance += float(uncertainty @ uncertainty)
-        places = int(np.argmax(values)), int(np.argmin(values))
+        ends = SampledForce(first, 1, values, uncertainty) if sampled is None else sampled
+        extremes = int(np.argmax(ends.values)), int(np.argmin(ends.values))
+        places = [min((one + ends.every // 2) // ends.every, values.size - 1) for one in extremes]
         parts: list[dict[Key, float]] = [{}, {}]
         weights = np.stack([np.ones(values.size), change])
         for one in contributions:
@@ -133,14 +163,14 @@ class ForceSums:
             for place, found in zip(places, parts, strict=True):
                 found[key] = float(np.hypot(found.get(key, 0.0), deviation[place]))
             self._add_row(key, one, deviation, weights=weights)
-        ends = [
-            Extreme(float(values[place]), float(uncertainty[place]), first + place, found)
-            for place, found in zip(places, parts, strict=True)
-        ]
-        if self.largest is None or ends[0].value > self.largest.value:
-            self.largest = ends[0]
-        if self.least is None or ends[1].value < self.least.value:
-            self.least = ends[1]
+        largest, least = (
+            Extreme(float(ends.values[place]), float(ends.uncertainty[place]), ends.first + place, found)
+            for place, found in zip(extremes, parts, strict=True)
+        )
+        if self.largest is None or largest.value > self.largest.value:
+            self.largest = largest
+        if self.least is None or least.value < self.least.value:
+            self.least = least
 
     def _add_row(self, key: Key, one: Systematic | Noise, deviation: Array, *, weights: Array) -> None:
         row = self.rows.setdefault(key, ContributionSums(isinstance(one, Noise)))
@@ -163,6 +193,8 @@ class SpectrumSums:
     ----------
     length
         Samples of a segment.
+    every
+        Samples of the record for each that is summed up.
     segments
         How many there are; they overlap by half.
     density
@@ -176,6 +208,7 @@ class SpectrumSums:
     """
 
     length: int
+    every: int = 1
     segments: int = 0
     density: Array = field(init=False)
     noise: Array = field(init=False)

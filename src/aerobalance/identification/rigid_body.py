@@ -14,8 +14,8 @@ from typing import Final
 import numpy as np
 from scipy.special import chdtrc
 
-from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
-from aerobalance.dynamics.inertial_parameters import mass_basis, rigid_of
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.rigid_body import RigidMass, mass_basis, rigid_of
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, MOMENTS
 from aerobalance.recording.errors import FitError

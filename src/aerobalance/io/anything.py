@@ -6,8 +6,7 @@ from pathlib import Path
 
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.weighing.result import Weighing
-from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.independent import IndependentDynamics, dynamics_of
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.io import load_channel_map
 from aerobalance.io import read as read_recording
 from aerobalance.io.balance_file import is_matrix, read_matrix
@@ -21,7 +20,7 @@ from aerobalance.recording.sensors import corrected
 
 def read(
     path: Path | str, *, channel_map: Path | str | None = None
-) -> Recording | BalanceMatrix | Weighing | IndependentDynamics | CoupledDynamics:
+) -> Recording | BalanceMatrix | Weighing | BalanceDynamics:
     """Recording, balance matrix, weighing or dynamics of a file, told by its content.
 
     Parameters
@@ -50,7 +49,7 @@ def read(
         if kind == "mass":
             return read_weighing(file)
         if kind == "dynamics":
-            return dynamics_of(read_any_dynamics(file))
+            return read_any_dynamics(file)
         if kind == "balance" or is_matrix(file):
             return read_matrix(file)
     return corrected(

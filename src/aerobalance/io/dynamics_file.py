@@ -13,6 +13,7 @@ from typing import Annotated, Any, Final, Literal, Unpack
 
 from pydantic import Field
 
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import IndependentDynamics
 from aerobalance.dynamics.modal import Mode
@@ -265,20 +266,18 @@ def dynamics_kind(path: Path | str) -> Kind | None:
     return "axial" if "kind" in given or isinstance(given.get("components"), dict) else None
 
 
-def read_any_dynamics(path: Path | str) -> dict[str, Dynamics] | CoupledDynamics:
-    """Return the dynamics of a dynamics.json: of components each for itself by name, or coupled ones.
+def read_any_dynamics(path: Path | str) -> BalanceDynamics:
+    """Return the dynamics of a dynamics.json: of components each for itself, or coupled ones.
 
     Raises
     ------
     ReadError
         As `read_dynamics` and `read_coupled`.
     """
-    return read_coupled(path) if dynamics_kind(path) == "coupled" else read_dynamics(path)
+    return read_coupled(path) if dynamics_kind(path) == "coupled" else IndependentDynamics(read_dynamics(path))
 
 
-def through_balance(
-    balance: Path, known: IndependentDynamics | CoupledDynamics, *, dynamics: Path
-) -> IndependentDynamics | CoupledDynamics:
+def through_balance(balance: Path, known: BalanceDynamics, *, dynamics: Path) -> BalanceDynamics:
     """Return dynamics for loads by a balance matrix: what another matrix left in them is not in these loads as well.
 
     Parameters
@@ -290,9 +289,7 @@ def through_balance(
     dynamics
         File of the dynamics, for the message.
     """
-    if not isinstance(known, CoupledDynamics) or not known.covariance_of_calibration.any():
-        return known
-    if known.balance == digest(balance):
+    if known.calibration is None or known.calibration == digest(balance):
         return known
     warn_quality(
         f"{dynamics.name} was found by another balance matrix than {balance.name}; what the calibration of that one "

@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.dynamics.coupled import RigidMass
+from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.io.artefacts import Covariance, Loose, PositiveValue, Value, check_unit, checked_covariance
 from aerobalance.recording.components import AXES
 

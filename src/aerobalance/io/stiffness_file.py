@@ -10,7 +10,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from pydantic import Field, ValidationError
 
-from aerobalance.dynamics.coupled import RigidMass
+from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.io import artefacts
 from aerobalance.io.artefacts import Finite, NotNegative
 from aerobalance.io.messages import first_fault

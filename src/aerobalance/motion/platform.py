@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.dynamics.coupled import RigidMass
+from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.motion.at_rest import AT_REST, tones
 from aerobalance.motion.consistency import Effect, check_agreement
 from aerobalance.motion.gaps import GAP, filled

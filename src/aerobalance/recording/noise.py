@@ -23,6 +23,9 @@ CLEARLY_LOWER: Final = 0.7
 ROUNDING: Final = 1e-9
 """Least noise over the largest reading: what is smaller than that is rounding."""
 
+ENOUGH: Final = 1 << 15
+"""Readings, in the middle of a longer record, from which its noise is judged: they tell it to one percent."""
+
 FEWEST: Final = 64
 """Readings below which the correlation of two channels' noise cannot be told."""
 
@@ -39,7 +42,7 @@ def white_noise(values: Array) -> float:
     values
         Readings, shape (n,), at least 8; NaN where missing.
     """
-    present = values[np.isfinite(values)]
+    present = _middle(values[np.isfinite(values)])
     if present.size < 8:
         raise ValueError(f"noise needs at least 8 readings, not {present.size}")
     length = int(min(present.size, max(64, present.size // 8)))
@@ -96,7 +99,7 @@ def noise_correlation(filled: Array) -> Array:
     """
     if filled.shape[0] < FEWEST:
         return np.eye(filled.shape[1])
-    spectrum = np.fft.rfft(np.diff(filled, 4, axis=0), axis=0)
+    spectrum = np.fft.rfft(np.diff(_middle(filled), 4, axis=0), axis=0)
     upper = spectrum[spectrum.shape[0] // 2 :]
     power = np.real(upper.conj().T @ upper)
     size = np.sqrt(np.maximum(np.diag(power), 1e-300))
@@ -105,3 +108,9 @@ def noise_correlation(filled: Array) -> Array:
     correlation[np.abs(correlation) < 4 / np.sqrt(upper.shape[0])] = 0.0
     np.fill_diagonal(correlation, 1.0)
     return correlation
+
+
+def _middle(values: Array) -> Array:
+    """Return the middle of a record, where it is longer than is needed to judge its noise."""
+    first = max((len(values) - ENOUGH) // 2, 0)
+    return values[first : first + ENOUGH]

@@ -53,6 +53,8 @@ class Recording:
         Which part of a longer record it is; the whole where it is no part.
     declared
         Channels of which an analog filter was stated, and has been undone.
+    decimated
+        Samples of a faster clock that each sample was made of (`aerobalance.recording.decimation`); 1 where none were.
     epoch
         Date and time at which the time is zero (UTC where its file says so); None where that is not known.
     """
@@ -68,6 +70,7 @@ class Recording:
     from_outputs: bool = False
     extent: Extent = field(default_factory=Extent)
     declared: frozenset[str] = frozenset()
+    decimated: int = 1
     epoch: np.datetime64 | None = None
     _means: dict[str, float] = field(init=False, default_factory=dict, repr=False)
 

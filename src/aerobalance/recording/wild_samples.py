@@ -70,6 +70,8 @@ def wild_samples(values: Array) -> NDArray[np.bool_]:
     if values.size < SETTINGS.fewest:
         return found
     departure = _departures(values)
+    if not _some_stand_out(np.abs(departure)):
+        return found
     steps = np.abs(np.diff(values[np.isfinite(values)]))
     if not (steps > 0).any():
         return found
@@ -92,15 +94,32 @@ def _departures(values: Array) -> Array:
     return np.where(np.isfinite(out), out, 0.0)
 
 
+def _windows(samples: int) -> NDArray[np.intp]:
+    """First samples of the windows in which the scatter is judged, and the end of the last one."""
+    return np.linspace(0, samples, max(samples // SETTINGS.window, 1) + 1).astype(np.intp)
+
+
+def _some_stand_out(size: Array) -> bool:
+    """Whether the departures of some window, of these sizes, may be wild; of most records none, which is soon known.
+
+    Where more than half of a window exceed a part of its largest, so does its median: no median is needed.
+    """
+    edges = _windows(size.size)
+    largest = np.maximum.reduceat(size, edges[:-1])
+    part = largest / (SETTINGS.departs * SCATTER)
+    exceed = np.add.reduceat(size > np.repeat(part, np.diff(edges)), edges[:-1], dtype=np.intp)
+    return bool((2 * exceed <= np.diff(edges)).any())
+
+
 def _scatter(departure: Array) -> Array:
     """Local standard deviation of departures, by the median of their absolute values in windows, shape (n,)."""
-    count = max(departure.size // SETTINGS.window, 1)
-    edges = np.linspace(0, departure.size, count + 1).astype(int)
-    level = np.array([np.median(np.abs(departure[a:b])) for a, b in pairwise(edges)])
+    size = np.abs(departure)
+    edges = _windows(size.size)
+    level = np.array([np.median(size[first:last]) for first, last in pairwise(edges)])
     # a shock of some samples is no reason to doubt a quiet window beside it: the larger of neighbours counts
     padded = np.concatenate([level[:1], level, level[-1:]])
     level = np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:])
-    whole = float(np.median(np.abs(departure)))
+    whole = float(np.median(size))
     return np.repeat(SCATTER * np.maximum(level, 0.1 * whole), np.diff(edges))
 
 

@@ -9,7 +9,8 @@ import numpy as np
 
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.terms import terms_of
-from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY
 from aerobalance.simulation.calibration_stand import SIZES

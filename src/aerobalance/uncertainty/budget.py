@@ -213,6 +213,7 @@ def spectrum(estimate: ComponentForce | ForceSummary, *, rate: float) -> ForceSp
         Sampling rate [Hz].
     """
     sums, whole_record = _spectrum_sums_of(estimate), _sums_of(estimate)
+    rate = rate / sums.every
     samples, smoothed, length = whole_record.samples, whole_record.smoothed, sums.length
     density, noise = sums.density / sums.segments / rate, sums.noise / samples / rate
     count = max(2 * (samples // length) - 1, 1) / (1.0 if samples < 2 * length else SETTINGS.overlap_loss)

@@ -145,7 +145,7 @@ def _between(one: ComponentForce, other: ComponentForce, weights: Array, *, kind
     """Covariance of the means of two components by errors of a kind; noise goes by `_correlated`."""
     if same:
         return sum(
-            part.variance_of(_within(weights, first, part))
+            part.variance_of(_within(_on_clock_of(contribution, weights), first, part))
             for contribution in one.contributions
             for first, part in _pieces(contribution)
             if _kind(part) == kind
@@ -154,7 +154,7 @@ def _between(one: ComponentForce, other: ComponentForce, weights: Array, *, kind
         return 0.0
     total = 0.0
     theirs = {
-        (part.name, part.quantities): (first, part)
+        (part.name, part.quantities): (_on_clock_of(contribution, weights), first, part)
         for contribution in other.contributions
         for first, part in _pieces(contribution)
         if isinstance(part, Systematic) and _kind(part) == kind
@@ -165,15 +165,20 @@ def _between(one: ComponentForce, other: ComponentForce, weights: Array, *, kind
                 continue
             found = theirs.get((part.name, part.quantities))
             # the same quantities, and not combinations that each component has of its own
-            if found is None or not np.array_equal(found[1].covariance, part.covariance) or _is_few(part):
+            if found is None or not np.array_equal(found[2].covariance, part.covariance) or _is_few(part):
                 continue
-            gradient = _within(weights, first, part) @ part.slopes
-            total += float(gradient @ part.covariance @ (_within(weights, found[0], found[1]) @ found[1].slopes))
+            gradient = _within(_on_clock_of(contribution, weights), first, part) @ part.slopes
+            total += float(gradient @ part.covariance @ (_within(*found) @ found[2].slopes))
     return total
 
 
 def _is_few(part: Systematic) -> bool:
     return part.quantities[0].startswith("combination ")
+
+
+def _on_clock_of(part: Contribution, weights: Array) -> Array:
+    """Weights of the samples of a record as weights of those that a contribution is known at, shape (m,)."""
+    return part.on_its_clock(weights[None])[0] if isinstance(part, Divided) else weights
 
 
 def _within(weights: Array, first: int, part: Systematic | Noise) -> Array:
@@ -185,7 +190,7 @@ def _within(weights: Array, first: int, part: Systematic | Noise) -> Array:
 def _of_balance(part: ComponentForce, weights: Array) -> float:
     """Variance of a mean by the balance where its loads are not at hand."""
     return sum(
-        piece.variance_of(_within(weights, first, piece))
+        piece.variance_of(_within(_on_clock_of(contribution, weights), first, piece))
         for contribution in part.contributions
         for first, piece in _pieces(contribution)
         if _kind(piece) == "balance"

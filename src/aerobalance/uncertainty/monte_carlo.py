@@ -20,22 +20,18 @@ import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import repeat
-from typing import Final, cast
+from typing import Final
 
 import numpy as np
 
-from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.component_force import Method, estimated
-from aerobalance.estimation.coupled_record import CoupledRecord
-from aerobalance.estimation.decoupled_record import DecoupledRecord
 from aerobalance.estimation.error_sources import Noise, Systematic
 from aerobalance.estimation.force_smoother import LinearSmoother
-from aerobalance.estimation.forces import ForceRecord
 from aerobalance.estimation.noise_draws import NoiseDraws
 from aerobalance.estimation.prior import Observation, SpectralPrior
-from aerobalance.estimation.record import ComponentRecord, SingleRecord
+from aerobalance.estimation.record import BalanceRecord, ComponentRecord
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.steps import Step, shape_of
 from aerobalance.recording.channel import Array
@@ -43,7 +39,7 @@ from aerobalance.recording.errors import DataQualityWarning, warn_quality
 from aerobalance.recording.progress import PROGRESS
 from aerobalance.uncertainty.budget import noise_power, scalars
 from aerobalance.uncertainty.parameter_draws import Change, parameter_errors
-from aerobalance.uncertainty.sampling import UncertainCoupled, UncertainDynamics, drawn_numbers
+from aerobalance.uncertainty.sampling import UncertainDynamics, drawn_numbers
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,23 +195,16 @@ def monte_carlo(force: Force, *, draws: int = 200, seed: int = 1) -> dict[str, M
     return found
 
 
-def _change(record: ForceRecord, given: ComponentRecord, filled: Array) -> Change | None:
+def _change(record: BalanceRecord, given: ComponentRecord, filled: Array) -> Change | None:
     """What makes the record of a component out of drawn dynamics; None where they are exact."""
-    if isinstance(given, SingleRecord) and given.dynamics.covariance.any():
-        return Change(UncertainDynamics.of(given.dynamics), lambda other: given.with_dynamics(cast("Dynamics", other)))
-    if not isinstance(record, CoupledRecord) or not isinstance(given, DecoupledRecord):
-        return None
-    matrices = record.dynamics.covariance.any()
-    mass = record.dynamics.mass is not None and record.dynamics.mass.covariance.any()
-    if not (matrices or (mass and record.platform.specific_force.any())):
-        return None
     component, shared = given.dynamics.component, given.shared
+    if not record.is_uncertain(component):
+        return None
 
-    def changed(other: Dynamics | CoupledDynamics) -> ComponentRecord:
-        again = record.taken_with(cast("CoupledDynamics", other))
-        return again.component_record(component, filled, shared=shared)
+    def changed(other: BalanceDynamics) -> ComponentRecord:
+        return record.taken_with(other).component_record(component, filled, shared=shared)
 
-    return Change(UncertainCoupled.of(record.dynamics, given.rows), changed)
+    return Change(UncertainDynamics.of(record.dynamics.block_of(component), given.rows), changed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -14,12 +14,11 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.estimation.record import ComponentRecord
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
-from aerobalance.uncertainty.sampling import Uncertain, standard_normals
+from aerobalance.uncertainty.sampling import UncertainDynamics, standard_normals
 
 POINT: Final = np.sqrt(3.0)
 """Places of the points in standard deviations: those of a Gauss-Hermite rule of third order."""
@@ -46,8 +45,8 @@ class Change:
         Makes the record with dynamics.
     """
 
-    dynamics: Uncertain
-    record: Callable[[Dynamics | CoupledDynamics], ComponentRecord]
+    dynamics: UncertainDynamics
+    record: Callable[[BalanceDynamics], ComponentRecord]
 
     def at(self, numbers: Array) -> ComponentRecord:
         """Return the record at standard normal numbers, shape (count,)."""

@@ -11,8 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.independent import AnyDynamics, dynamics_of
 from aerobalance.estimation.live.live_force import LAG_PERIODS, SLOWEST
 from aerobalance.recording.components import si_unit
 from aerobalance.uncertainty.wiener_bound import (
@@ -124,7 +123,7 @@ class Plan:
 
 
 def plan(
-    dynamics: Dynamics | CoupledDynamics | Mapping[str, Dynamics] | Sequence[Dynamics],
+    dynamics: AnyDynamics,
     *,
     rate: float,
     noise: float | Mapping[str, float],
@@ -173,46 +172,20 @@ def plan(
             raise ValueError(
                 f"bandwidth must lie between 0 and half the sampling rate ({rate / 2:g} Hz), not {bandwidth:g}"
             )
-    parts = _parts(dynamics)
-    names = [name for part in parts for name in _names(part)]
-    noises = _by_component(noise, names, "noise")
-    forces = None if force is None else _by_component(force, names, "force")
+    model = dynamics_of(dynamics)
+    noises = _by_component(noise, model.components, "noise")
+    forces = None if force is None else _by_component(force, model.components, "force")
     found: dict[str, ComponentPlan] = {}
-    for part in parts:
+    for block in model.blocks:
         bound = WienerBound.of(
-            part,
+            block,
             noise=noises,
             acceleration_noise=acceleration_noise,
             angular_acceleration_noise=angular_acceleration_noise,
         )
         found |= _planned(bound, forces, rate=rate, bandwidths=bandwidths)
-    uncertain = any(part.covariance.any() for part in parts)
+    uncertain = bool(model.covariance.any())
     return Plan(rate, acceleration_noise, angular_acceleration_noise, found, uncertain and force is None)
-
-
-def _parts(
-    dynamics: Dynamics | CoupledDynamics | Mapping[str, Dynamics] | Sequence[Dynamics],
-) -> tuple[Dynamics, ...] | tuple[CoupledDynamics]:
-    """Return the dynamics that are not coupled with each other."""
-    if isinstance(dynamics, CoupledDynamics):
-        return (dynamics,)
-    if isinstance(dynamics, Dynamics):
-        return (dynamics,)
-    parts = tuple(dynamics.values() if isinstance(dynamics, Mapping) else dynamics)
-    wrong = [part for part in parts if not isinstance(part, Dynamics)]
-    if wrong or not parts:
-        raise ValueError(
-            "dynamics must be Dynamics, several of them as a mapping or a sequence, or CoupledDynamics, not "
-            + (f"{type(wrong[0]).__name__} among them" if wrong else "empty")
-        )
-    names = [part.component for part in parts]
-    if len(set(names)) < len(names):
-        raise ValueError(f"dynamics must be given once for each component, not for {', '.join(names)}")
-    return parts
-
-
-def _names(part: Dynamics | CoupledDynamics) -> tuple[str, ...]:
-    return part.components if isinstance(part, CoupledDynamics) else (part.component,)
 
 
 def _check_positive(value: float, name: str) -> None:
@@ -238,12 +211,15 @@ def _planned(
     bound: WienerBound, force: Mapping[str, float] | None, *, rate: float, bandwidths: Sequence[float]
 ) -> dict[str, ComponentPlan]:
     """Return the plans of components whose forces are estimated together."""
-    modes = bound.natural_frequencies
+    dynamics = bound.dynamics
+    modes = tuple(mode.natural_frequency for mode in dynamics.modes)
     chosen = tuple(bandwidths) or _usual_bandwidths(modes, rate)
     through = min(THROUGH * max(modes, default=np.inf), rate / 2)
     table = [bound.attainable(force, bandwidth=bandwidth, rate=rate) for bandwidth in chosen]
     faster = [bound.attainable(force, bandwidth=through, rate=factor * rate) for factor in FASTER]
     slowest = SLOWEST * min(modes, default=0.0)
+    noise = np.diag([bound.noise[name] ** 2 for name in dynamics.components])
+    channels = [dynamics.decoupled(name, noise=noise).dynamics for name in dynamics.components]
     return {
         name: ComponentPlan(
             component=name,
@@ -253,9 +229,9 @@ def _planned(
             force=None if force is None else force[name],
             table=tuple(rows[place] for rows in table),
             at_other_rates=tuple(rows[place] for rows in faster),
-            live_lag=LAG_PERIODS / max(bound.channel_frequencies[place], slowest),
+            live_lag=LAG_PERIODS / max(channels[place].natural_frequency, slowest),
         )
-        for place, name in enumerate(bound.components)
+        for place, name in enumerate(dynamics.components)
     }
 
 

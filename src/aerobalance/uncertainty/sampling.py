@@ -5,14 +5,13 @@ The draws are sets that have exactly the mean and covariance they stand for, so 
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.dynamics.coupled import MASS_PARAMETERS, CoupledDynamics, RigidMass
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
+from aerobalance.dynamics.rigid_body import MASS_PARAMETERS, RigidMass
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.linalg import covariance_root
@@ -33,78 +32,26 @@ def standard_normals(generator: np.random.Generator, count: int, draws: int) -> 
     return np.asarray(np.linalg.solve(np.linalg.cholesky(normals.T @ normals / (draws - 1)), normals.T).T)
 
 
-class Uncertain(ABC):
-    """Dynamics whose parameters follow from some standard normal numbers."""
-
-    @property
-    @abstractmethod
-    def count(self) -> int:
-        """How many numbers there are."""
-
-    @abstractmethod
-    def at(self, numbers: Array) -> Dynamics | CoupledDynamics:
-        """Return the dynamics at these numbers, shape (count,).
-
-        Raises
-        ------
-        FitError
-            They are not physical.
-        """
-
-
 @dataclass(frozen=True, slots=True, eq=False)
-class UncertainDynamics(Uncertain):
-    """The dynamics of one component.
+class UncertainDynamics:
+    """Dynamics, and their mass, whose parameters follow from some standard normal numbers, seen by one component.
 
     Attributes
     ----------
     dynamics
         The dynamics.
-    root
-        Root of the covariance of their parameters, shape (p, count).
-    """
-
-    dynamics: Dynamics
-    root: Array
-
-    @classmethod
-    def of(cls, dynamics: Dynamics) -> UncertainDynamics:
-        """Return those of dynamics with a covariance."""
-        return cls(dynamics, covariance_root(dynamics.covariance))
-
-    @property
-    def count(self) -> int:
-        """How many numbers there are."""
-        return int(self.root.shape[1])
-
-    def at(self, numbers: Array) -> Dynamics:
-        """Return the dynamics at these numbers, shape (count,)."""
-        try:
-            return self.dynamics.with_parameters(self.dynamics.values + self.root @ numbers)
-        except ValueError as error:
-            raise _not_physical(self.dynamics.component, error) from None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class UncertainCoupled(Uncertain):
-    """Coupled dynamics and their mass, seen by one component.
-
-    Attributes
-    ----------
-    dynamics
-        The coupled components.
-    matrices
-        What the first numbers change the elements of both matrices by, shape (2 n^2, any).
+    parameters
+        What the first numbers change the p parameters by, shape (p, any).
     mass
         What the others change the inertial parameters by, shape (10, any).
     """
 
-    dynamics: CoupledDynamics
-    matrices: Array
+    dynamics: BalanceDynamics
+    parameters: Array
     mass: Array
 
     @classmethod
-    def of(cls, dynamics: CoupledDynamics, rows: NDArray[np.intp]) -> UncertainCoupled:
+    def of(cls, dynamics: BalanceDynamics, rows: NDArray[np.intp]) -> UncertainDynamics:
         """Return those of dynamics with covariances.
 
         These rows of their parameters and the mass are drawn such that their covariance is exact; the other
@@ -122,26 +69,24 @@ class UncertainCoupled(Uncertain):
     @property
     def count(self) -> int:
         """How many numbers there are."""
-        return int(self.matrices.shape[1] + self.mass.shape[1])
+        return int(self.parameters.shape[1] + self.mass.shape[1])
 
-    def at(self, numbers: Array) -> CoupledDynamics:
-        """Return the dynamics at these numbers, shape (count,)."""
-        dynamics, own = self.dynamics, self.matrices.shape[1]
-        size = len(dynamics.inertia)
-        inertia, damping = (self.matrices @ numbers[:own]).reshape(2, size, size)
+    def at(self, numbers: Array) -> BalanceDynamics:
+        """Return the dynamics at these numbers, shape (count,).
+
+        Raises
+        ------
+        FitError
+            They are not physical.
+        """
+        dynamics, own = self.dynamics, self.parameters.shape[1]
         try:
-            return replace(
-                dynamics,
-                inertia=dynamics.inertia + inertia,
-                damping=dynamics.damping + damping,
-                covariance=np.zeros_like(dynamics.covariance),
-                mass=dynamics.mass and RigidMass.of_values(dynamics.mass.values + self.mass @ numbers[own:]),
+            return dynamics.with_parameters(
+                dynamics.parameter_values + self.parameters @ numbers[:own],
+                dynamics.mass and RigidMass.of_values(dynamics.mass.values + self.mass @ numbers[own:]),
             )
         except ValueError as error:
-            raise _not_physical(", ".join(dynamics.components), error) from None
-
-
-def _not_physical(components: str, error: ValueError) -> FitError:
-    return FitError(
-        f"the dynamics of {components} are so uncertain that a draw is not physical ({error}); identify them better"
-    )
+            raise FitError(
+                f"the dynamics of {', '.join(dynamics.components)} are so uncertain that a draw is not physical "
+                f"({error}); identify them better"
+            ) from None

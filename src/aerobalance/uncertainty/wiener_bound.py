@@ -18,19 +18,14 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
-from math import prod
 from typing import Final
 
 import numpy as np
-from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.decoupling import DecoupledChannel
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, MOMENTS
 
@@ -111,84 +106,43 @@ class WienerBound:
 
     Attributes
     ----------
-    components
-        Names of the n components.
-    natural_frequencies
-        Of all modes: the first mode of one component first, of coupled ones the lowest [Hz].
-    channel_frequencies
-        Natural frequency of the first mode of each decoupled channel, n of them [Hz].
-    poles
-        Of the response and of its inverse [rad/s].
-    inverse_response
-        F/X at frequencies of shape (m,) [Hz], shape (m, n, n).
-    parameter_density
-        Variance of the forces by the parameters, shape (m, n), at frequencies of shape (m,) [Hz], for forces with the
-        roots of their densities of shape (n,).
+    dynamics
+        The dynamics.
     noise
         Standard uncertainty of one reading of each component [N, N*m].
     ground_end
         Forces by one standard uncertainty of the ground end's motion, by its cause, shape (n, k) each [N, N*m].
     """
 
-    components: tuple[str, ...]
-    natural_frequencies: tuple[float, ...]
-    channel_frequencies: tuple[float, ...]
-    poles: NDArray[np.complex128]
-    inverse_response: Callable[[Array], NDArray[np.complex128]]
-    parameter_density: Callable[[Array, Array], Array]
+    dynamics: BalanceDynamics
     noise: Mapping[str, float]
     ground_end: Mapping[str, Array]
 
     @classmethod
     def of(
         cls,
-        dynamics: Dynamics | CoupledDynamics,
+        dynamics: BalanceDynamics,
         *,
         noise: Mapping[str, float],
         acceleration_noise: float = 0.0,
         angular_acceleration_noise: float = 0.0,
     ) -> WienerBound:
-        """Return the bound for one component, or for coupled ones; the arguments are those of `plan`.
+        """Return the bound for components whose forces are estimated together; the arguments are those of `plan`.
 
         Raises
         ------
         ValueError
-            The ground end's motion has noise and the dynamics do not know the mass that it acts on, or an internal
-            coordinate moves without end while no component shows anything.
+            The ground end's motion has noise and the dynamics do not know the mass that it acts on.
         """
         motion = {ACCELERATION: acceleration_noise, ANGULAR_ACCELERATION: angular_acceleration_noise}
         ground_end = {cause: _mass_rows(dynamics, cause) * size for cause, size in motion.items() if size}
-        if isinstance(dynamics, Dynamics):
-            return cls(
-                (dynamics.component,),
-                tuple(mode.natural_frequency for mode in dynamics.modes),
-                (dynamics.natural_frequency,),
-                np.concatenate([*(mode.poles for mode in dynamics.modes), _zeros(dynamics)]),
-                lambda frequency: np.asarray(1 / dynamics.response(frequency)[:, None, None]),
-                partial(_density_of_one, dynamics),
-                noise,
-                ground_end,
-            )
-        names = dynamics.components
-        covariance = np.diag([noise[name] ** 2 for name in names])
-        channels = [DecoupledChannel.of(dynamics, name, noise=covariance) for name in names]
-        still = [pole for mode in channels[0].still for pole in mode.poles]
-        return cls(
-            names,
-            tuple(mode.natural_frequency for mode in dynamics.modes),
-            tuple(channel.dynamics.natural_frequency for channel in channels),
-            np.concatenate([dynamics.poles, np.asarray(still, dtype=np.complex128)]),
-            dynamics.inverse_response,
-            partial(_density_of_coupled, dynamics, channels),
-            noise,
-            ground_end,
-        )
+        return cls(dynamics, noise, ground_end)
 
     def _densities(self, frequency: Array, *, rate: float) -> dict[str, NDArray[np.complex128]]:
         """Return the one-sided density of the noise of the forces by its cause, shape (m, n, n) each."""
-        inverse = self.inverse_response(frequency)
+        inverse = self.dynamics.inverse_response(frequency)
         found = {}
-        for place, name in enumerate(self.components):
+        for place, name in enumerate(self.dynamics.components):
             column = inverse[:, :, place] * self.noise[name] * np.sqrt(2 / rate)
             found[name] = column[:, :, None] * column[:, None, :].conj()
         for cause, rows in self.ground_end.items():
@@ -208,15 +162,16 @@ class WienerBound:
         rate
             Sampling rate [Hz].
         """
-        names = self.components
-        frequency, weights = _quadrature(bandwidth, self.poles)
+        names = self.dynamics.components
+        poles = np.concatenate([self.dynamics.poles, self.dynamics.zeros])
+        frequency, weights = _quadrature(bandwidth, poles)
         densities = self._densities(frequency, rate=rate)
         of_readings = np.sum([_diagonal(densities[name]) for name in names], axis=0)
         parameters, by_cause = np.zeros(len(names)), {cause: _diagonal(part) for cause, part in densities.items()}
         alone = np.sum(list(by_cause.values()), axis=0)
         if force is not None:
             size = np.array([force[name] for name in names]) / np.sqrt(bandwidth)
-            parameters = weights @ self.parameter_density(frequency, size)
+            parameters = weights @ _parameter_density(self.dynamics, frequency, size)
             by_cause = _shared_out(densities, np.diag(size**2))
             alone = size**2 * alone / (size**2 + alone)
         shares = {cause: np.sqrt(weights @ part) for cause, part in by_cause.items()}
@@ -239,85 +194,28 @@ class WienerBound:
         ]
 
 
-def _mass_rows(dynamics: Dynamics | CoupledDynamics, cause: str) -> Array:
-    """Return the forces by the ground end's acceleration, or by its angular acceleration, shape (n, k)."""
-    rotation = cause == ANGULAR_ACCELERATION
-    if isinstance(dynamics, Dynamics):
-        if rotation:
-            raise ValueError(
-                f"angular_acceleration_noise needs coupled dynamics: those of {dynamics.component} know the mass "
-                "along one axis only"
-            )
-        return np.array([[dynamics.mass]])
-    if dynamics.mass is None:
+def _mass_rows(dynamics: BalanceDynamics, cause: str) -> Array:
+    """Return the forces by the ground end's acceleration, or by its angular acceleration, shape (n, 3)."""
+    if not dynamics.moved_by.any():
         raise ValueError("noise of the ground end's motion acts through the mass, which the dynamics do not hold")
-    rows = [COMPONENTS.index(name) for name in dynamics.components]
-    return dynamics.mass.matrix[rows][:, [(name in MOMENTS) == rotation for name in COMPONENTS]]
+    rotation = cause == ANGULAR_ACCELERATION
+    columns = np.array([(name in MOMENTS) == rotation for name in COMPONENTS])
+    if rotation and not dynamics.moved_by[columns].any():
+        raise ValueError(
+            f"angular_acceleration_noise needs coupled dynamics: those of {', '.join(dynamics.components)} know the "
+            "mass along one axis only"
+        )
+    return dynamics.mass_rows[:, columns]
 
 
-def _zeros(dynamics: Dynamics) -> NDArray[np.complex128]:
-    """Return the zeros of the response of one component [rad/s], which are the poles of its inverse."""
-    modes = dynamics.modes
-    free = [
-        Polynomial([1, 2 * mode.damping_ratio / mode.angular_frequency, mode.angular_frequency**-2]) for mode in modes
-    ]
-    numerator = Polynomial([0.0])
-    for place, mode in enumerate(modes):
-        numerator += prod(free[:place] + free[place + 1 :], start=Polynomial([mode.share, mode.rate_share]))
-    return np.asarray(numerator.roots(), dtype=np.complex128)
-
-
-def _density_of_one(dynamics: Dynamics, frequency: Array, size: Array) -> Array:
-    """Return the relative variance of Eq. (17) of [Gorbushin2020]_ by its parameters, times size^2."""
-    first, *further = dynamics.modes
-    s = 2j * np.pi * frequency
-    M, k, b = dynamics.mass, dynamics.stiffness, dynamics.damping
-    # dG/dp; the first mode is 1 / (1 + s b/k + s^2 M/k), and the derivative of 1/D is -D' / D^2
-    own = -first.share * first.response(frequency) ** 2
-    slopes = {
-        "mass": own * s**2 / k,
-        "stiffness": -own * (s * b + s**2 * M) / k**2,
-        "damping": own * s / k,
-        # the delay is that of the load behind the ground's acceleration: it does not touch F/AF
-        "delay": np.zeros_like(s),
-    }
-    for number, mode in enumerate(further, 2):
-        f, zeta = mode.natural_frequency, mode.damping_ratio
-        ratio = frequency / f
-        curve = -mode.share * mode.response(frequency) ** 2
-        slopes[f"natural_frequency_{number}"] = curve * 2 * (ratio**2 - 1j * zeta * ratio) / f
-        slopes[f"damping_ratio_{number}"] = curve * 2j * ratio
-        slopes[f"share_{number}"] = mode.response(frequency) - first.response(frequency)
-    J = np.column_stack([slopes[name] for name in dynamics.parameters]) / dynamics.response(frequency)[:, None]
-    relative = np.real(np.sum((J @ dynamics.covariance) * np.conj(J), axis=1))
-    return np.asarray(relative[:, None] * size**2)
-
-
-def _density_of_coupled(
-    dynamics: CoupledDynamics, channels: Sequence[DecoupledChannel], frequency: Array, size: Array
-) -> Array:
-    """Return the variance by inertia and damping of forces of the density size^2, shape (m, n)."""
-    n, s = len(dynamics.components), 2j * np.pi * frequency
-    whole = dynamics.equation(s)
-    coordinates = np.linalg.inv(whole)[:, :, :n] * size
-    density = np.zeros((frequency.size, n))
-    for channel in channels:
-        rows = channel.rows(dynamics)
-        covariance = dynamics.covariance[np.ix_(rows, rows)]
-        if not covariance.any():
-            continue
-        # an error of an internal equation comes to the force as the internal coordinates do
-        carried = np.zeros((frequency.size, 1 + dynamics.internal), dtype=np.complex128)
-        carried[:, 0] = 1.0
-        if dynamics.internal:
-            inside = whole[:, n:, n:].transpose(0, 2, 1)
-            carried[:, 1:] = -np.linalg.solve(inside, whole[:, channel.place, n:, None])[..., 0]
-        slopes = np.concatenate(
-            [(power[:, None, None] * carried[:, :, None])[..., None] * coordinates[:, None] for power in (s**2, s)],
-            axis=1,
-        ).reshape(frequency.size, rows.size, n)
-        variance = np.einsum("mpk,pq,mqk->m", slopes, covariance, slopes.conj(), optimize=True)
-        density[:, channel.place] = np.maximum(np.real(variance), 0.0)
+def _parameter_density(dynamics: BalanceDynamics, frequency: Array, size: Array) -> Array:
+    """Return the variance by the parameters of forces of the density size^2, shape (m, n)."""
+    density = np.zeros((frequency.size, len(dynamics.components)))
+    for place, (slopes, covariance) in enumerate(dynamics.force_slopes(frequency)):
+        if covariance.any():
+            own = slopes * size
+            variance = np.einsum("mpk,pq,mqk->m", own, covariance, own.conj(), optimize=True)
+            density[:, place] = np.maximum(np.real(variance), 0.0)
     return density
 
 

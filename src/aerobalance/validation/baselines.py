@@ -61,11 +61,14 @@ class BaselineSettings:
         The rival's one tuning number [Hz]; None for its customary setting.
     response
         Measured response of the balance; None for that of the dynamics.
+    still
+        Whether the ground is taken not to move: what it puts on the reading has been taken off.
     """
 
     gravity: float = STANDARD_GRAVITY
     tuning: float | None = None
     response: MeasuredResponse | None = None
+    still: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -402,9 +405,9 @@ def _load(recording: Recording, dynamics: ModalModel) -> Array:
 
 def _known(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> Array:
     """Force of the ground's motion and gravity at the load's instants, as in Eq. (17) of [Gorbushin2020]_."""
-    if not isinstance(dynamics, Dynamics):  # the reading of a decoupled channel: they have been taken off
+    if settings.still:
         return np.zeros(recording.samples)
-    return _known_force(recording, dynamics, settings.gravity)
+    return _known_force(recording, _balance(dynamics), settings.gravity)
 
 
 @lru_cache(maxsize=2)

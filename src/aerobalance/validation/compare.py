@@ -10,15 +10,16 @@ from aerobalance.balance.loads import Loads
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.reduction import reduce_outputs
 from aerobalance.balance.zeros import Zero
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.independent import AnyDynamics, IndependentDynamics, dynamics_of
+from aerobalance.dynamics.independent import AnyDynamics, dynamics_of
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError, argument
 from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
 from aerobalance.validation.baselines import BaselineEstimate, BaselineSettings, estimates
-from aerobalance.validation.coupled_baselines import estimates_of_coupled, own_response
+from aerobalance.validation.coupled_baselines import estimates_of_coupled
 from aerobalance.validation.fir_inverse import response_of_record
 from aerobalance.validation.scores import Truth, truth_on_clock
 
@@ -46,7 +47,7 @@ class Comparison(Mapping[str, Sequence[BaselineEstimate]]):
 
     estimates: Mapping[str, Sequence[BaselineEstimate]]
     recording: Recording
-    dynamics: IndependentDynamics | CoupledDynamics
+    dynamics: BalanceDynamics
     responses: Mapping[str, ModalModel]
     truths: Mapping[str, Truth]
     loads: Loads | None = None
@@ -124,9 +125,7 @@ def compare(
             f"{argument('step')} is a step of one component: name that one of {', '.join(names)} with "
             f"{argument('components')}"
         )
-    responses = {
-        name: own_response(model, name) if isinstance(model, CoupledDynamics) else model[name] for name in names
-    }
+    responses = {name: model.own_response(name) for name in names}
     lowest = min(response.natural_frequency for response in responses.values())
     truths = {}
     if truth is not None:
@@ -144,21 +143,19 @@ def compare(
         found |= estimates_of_coupled(recording, model, components=names, settings=settings, truths=truths)
     else:
         alone = PROGRESS.each(names, "component")
-        found |= {name: estimates(recording, model[name], settings=settings, truth=truths.get(name)) for name in alone}
+        found |= {
+            name: estimates(recording, responses[name], settings=settings, truth=truths.get(name)) for name in alone
+        }
     return Comparison(found, recording, model, responses, truths, ready if isinstance(ready, Loads) else None)
 
 
-def _names(
-    recording: Recording, model: IndependentDynamics | CoupledDynamics, components: Sequence[str] | None
-) -> tuple[str, ...]:
+def _names(recording: Recording, model: BalanceDynamics, components: Sequence[str] | None) -> tuple[str, ...]:
     """Components that are compared."""
     lacking = [name for name in components or () if name not in model.components]
     if lacking:
         raise FitError(f"the dynamics have no {lacking[0]}; they have {', '.join(model.components)}")
-    names = tuple(model.components if components is None else components)
-    if isinstance(model, CoupledDynamics) and components is None:
-        return names
-    there = tuple(name for name in names if components is not None or name in recording)
-    for name in there or names:
+    if components is None:
+        components = model.estimable(recording.channels) or model.components
+    for name in components:
         recording.channel(name)  # whose error tells what the recording has
-    return there
+    return tuple(components)

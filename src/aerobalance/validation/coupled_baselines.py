@@ -14,18 +14,18 @@ from typing import Final
 import numpy as np
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.modal import EquivalentModel, ModalModel, Mode
+from aerobalance.dynamics.modal import ModalModel
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.direct import band_limited, central_differences
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.force_smoother import SmootherResult
 from aerobalance.estimation.prior import fit_prior
-from aerobalance.estimation.record import ComponentRecord
+from aerobalance.estimation.record import BalanceRecord, ComponentRecord
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.steps import columns_of
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.components import COMPONENTS, MOMENTS
+from aerobalance.recording.components import MOMENTS
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
@@ -75,7 +75,7 @@ class _Component:
         Which component.
     """
 
-    record: CoupledRecord
+    record: BalanceRecord
     filled: Array
     own: Mapping[str, ComponentForce]
     place: int
@@ -95,9 +95,8 @@ class _Component:
     @property
     def diagonal(self) -> CoupledDynamics:
         """The component with the diagonals of the matrices."""
-        here = np.ix_([self.place], [self.place])
-        damping = np.maximum(self.record.dynamics.damping[here], 0.0)
-        return CoupledDynamics((self.name,), self.record.dynamics.inertia[here], damping)
+        damping, inertia = (part[[self.place]][:, [self.place]] for part in self.record.dynamics.quadratic)
+        return CoupledDynamics((self.name,), inertia, np.maximum(damping, 0.0))
 
     def _alone(self, recording: Recording, *, with_gaps: bool = False) -> ComponentRecord:
         """The component by the diagonals, made ready; what the record says against them is not asked."""
@@ -127,11 +126,12 @@ class _Component:
 
     def raw(self, recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
         """Take the balance load for the force, less the weight where the attitude and the mass are known."""
-        load, whole, mass = self.filled[:, self.place], self.record.recording, self.record.dynamics.mass
-        if mass is None or "pitch" not in whole:
+        load, whole, model = self.filled[:, self.place], self.record.recording, self.record.dynamics
+        if not model.moved_by.any() or "pitch" not in whole:
             return BaselineEstimate("raw reading", load, "as read", "no delay")
-        angles = [np.nan_to_num(whole.channel(name).values) for name in ("pitch", "roll") if name in whole]
-        weight = mass.weight(*angles, gravity=settings.gravity)[:, COMPONENTS.index(self.name)]
+        pitch = np.nan_to_num(whole.channel("pitch").values)
+        roll = np.nan_to_num(whole.channel("roll").values) if "roll" in whole else np.zeros(pitch.size)
+        weight = model.weight(self.name, pitch=pitch, roll=roll, gravity=settings.gravity)
         return BaselineEstimate("raw reading", load - weight, "as read, less the weight", "no delay")
 
     def by_accelerometer(
@@ -167,16 +167,16 @@ class _Component:
 
     def differences(self, recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
         """X + D X' + A X'' with three-point central differences of all readings."""
-        coupled, n = self.record.dynamics, len(self.record.dynamics.components)
+        model, (damping, inertia) = self.record.dynamics, self.record.dynamics.quadratic
         felt, interval = self.filled - self.record.from_ground, self.record.interval
         rate = np.gradient(felt, interval, axis=0)
         acceleration = np.zeros_like(felt)
         acceleration[1:-1] = np.diff(felt, 2, axis=0) / interval**2
-        D, A = coupled.damping[self.place, :n], coupled.inertia[self.place, :n]
-        left = f", {coupled.internal} further mode(s) left out" if coupled.internal else ""
+        further = model.poles.size // 2 - len(model.components)
+        left = f", {further} further mode(s) left out" if further else ""
         return BaselineEstimate(
             "central differences, coupled",
-            felt[:, self.place] + rate @ D + acceleration @ A,
+            felt[:, self.place] + rate @ damping[self.place] + acceleration @ inertia[self.place],
             f"X + D X' + A X'', three-point central differences{left}",
             "no delay; first and last sample poor",
         )
@@ -237,54 +237,23 @@ def estimates_of_coupled(
     FitError
         A component that the others ring with is not in the recording, or it is too short.
     """
-    settings = settings or BaselineSettings()
+    settings = replace(settings or BaselineSettings(), still=True)
     # what is compared are values: without a covariance no method is run again to learn its uncertainty
-    mass = dynamics.mass
-    exact = replace(
-        dynamics,
-        covariance=np.zeros_like(dynamics.covariance),
-        mass=None if mass is None else replace(mass, covariance=np.zeros_like(mass.covariance)),
-    )
+    exact = dynamics.exact
     own = estimate_force(replace(recording, from_outputs=False), exact, gravity=settings.gravity)
     record, filled = own.record, own.filled
-    if not isinstance(record, CoupledRecord):
-        raise TypeError("the dynamics are not coupled")
     found = {}
     for name in PROGRESS.each(components, "component"):
         part = _Component(record, filled, own, exact.components.index(name))
         found[name] = estimates(
             part.quiet,
-            own_response(exact, name),
+            exact.own_response(name),
             settings=settings,
             truth=(truths or {}).get(name),
             rivals=part.rivals(),
             tuned=TUNED,
         )
     return found
-
-
-def own_response(dynamics: CoupledDynamics, component: str) -> EquivalentModel:
-    """One component's reading under its own load alone, the others free: every mode with its share of a steady load.
-
-    The part of a residue that goes with the rate of the load, which damping that couples the modes gives, is left out.
-
-    Raises
-    ------
-    FitError
-        A mode does not oscillate.
-    """
-    place = dynamics.components.index(component)
-    poles, shapes, weights = dynamics.modal_form
-    up = poles.imag > 0
-    if 2 * np.count_nonzero(up) != poles.size:
-        raise FitError("a mode is damped so strongly that it does not oscillate: no method for one component fits")
-    residues = shapes[place, up] * weights[up, place]
-    order = np.argsort(np.abs(poles[up]))
-    modes = [
-        Mode(float(abs(pole)) / (2 * np.pi), float(-pole.real / abs(pole)), float(share))
-        for pole, share in zip(poles[up][order], (-2 * np.real(residues / poles[up]))[order], strict=True)
-    ]
-    return EquivalentModel(component, modes[0], tuple(modes[1:]))
 
 
 def _noted(rival: Estimator) -> Estimator:

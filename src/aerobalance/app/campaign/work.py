@@ -21,8 +21,7 @@ from aerobalance.app.campaign.results import Results
 from aerobalance.app.campaign.rows import Row, row_of, set_aside
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.zeros import Zero
-from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.independent import IndependentDynamics, dynamics_of
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.io import load_channel_map, read
 from aerobalance.io.artefacts import json_text
 from aerobalance.io.balance_file import read_matrix
@@ -239,9 +238,9 @@ class _Shared(Generic[Known]):
         return known
 
 
-def _read_dynamics(place: str, _: str) -> IndependentDynamics | CoupledDynamics:
+def _read_dynamics(place: str, _: str) -> BalanceDynamics:
     with fetched(place) as path:
-        return dynamics_of(read_any_dynamics(path))
+        return read_any_dynamics(path)
 
 
 def _read_matrix(place: str, _: str) -> BalanceMatrix:

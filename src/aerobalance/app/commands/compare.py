@@ -12,7 +12,6 @@ from aerobalance.app.commands.loads import LoadSource, loads_result
 from aerobalance.app.commands.shared import Result, check_out, collected_warnings, known_component
 from aerobalance.app.commands.standings import standings
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.io import read
 from aerobalance.io.coupled_part import modes_payload
 from aerobalance.io.dynamics_file import read_any_dynamics
@@ -45,17 +44,15 @@ def compare(
     """
     if component is not None:
         known_component(component)
-    known = dynamics_of(read_any_dynamics(dynamics))
+    known = read_any_dynamics(dynamics)
     source = LoadSource(known, files, gravity, channel_map)
     inputs = [path, dynamics, *source.paths, *(file for file in (truth, step) if file is not None)]
     check_out(out, *inputs, kind=PAGE)
-    if isinstance(known, CoupledDynamics):
-        names = known.components if component is None else (component,)
-    else:
-        names = (component or "AF",)
-        if names[0] not in known:
-            raise FitError(f"{dynamics} has no {names[0]}; it has {', '.join(known)}")
-    ranges = _half_ranges(half_range, names, coupled=isinstance(known, CoupledDynamics))
+    coupled = known if isinstance(known, CoupledDynamics) else None
+    names = (component or "AF",) if coupled is None or component is not None else known.components
+    if names[0] not in known.components:
+        raise FitError(f"{dynamics} has no {names[0]}; it has {', '.join(known.components)}")
+    ranges = _half_ranges(half_range, names, coupled=coupled is not None)
     with collected_warnings() as collected:
         found = compare_methods(
             source.read(path),
@@ -65,7 +62,7 @@ def compare(
             step=None if step is None else source.read(step),
             gravity=gravity,
         )
-    result = _coupled_result(found, ranges) if isinstance(known, CoupledDynamics) else _separate_result(found, ranges)
+    result = _separate_result(found, ranges) if coupled is None else _coupled_result(found, coupled, ranges)
     result = {"file": path.name, **result}
     if found.loads is not None:
         result["loads"] = loads_result(found.loads)
@@ -99,12 +96,10 @@ def _separate_result(found: Comparison, half_ranges: Mapping[str, float]) -> Res
     }
 
 
-def _coupled_result(found: Comparison, half_ranges: Mapping[str, float]) -> Result:
+def _coupled_result(found: Comparison, dynamics: CoupledDynamics, half_ranges: Mapping[str, float]) -> Result:
     """Plain data on coupled components."""
-    if not isinstance(found.dynamics, CoupledDynamics):
-        raise TypeError("the dynamics are not coupled")
     result: Result = {
-        "modes": modes_payload(found.dynamics),
+        "modes": modes_payload(dynamics),
         "components": {
             name: {
                 "unit": si_unit(name),

@@ -9,7 +9,8 @@ import numpy as np
 
 from aerobalance.app.commands.shared import Result, table_text
 from aerobalance.balance.weighing.result import Weighing
-from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.identification.coupled.combinations import combination_text
 from aerobalance.identification.coupled.internal_coordinates import slow_matrices
 from aerobalance.identification.coupled.result import CoupledResult

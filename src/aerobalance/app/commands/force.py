@@ -23,7 +23,6 @@ from aerobalance.app.commands.uncertainty import (
 )
 from aerobalance.app.one_heap import share_one_heap
 from aerobalance.app.reports.force_curves import ForceCurves
-from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.estimation.force import ForceWork
 from aerobalance.estimation.force_collector import SummaryOfParts
 from aerobalance.estimation.force_parts import ForcePart, WorstPart
@@ -42,6 +41,9 @@ from aerobalance.recording.doubts import Doubt, verdict_of
 from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.monte_carlo import MonteCarlo, monte_carlo
+
+AT_ONCE: Final = 1 << 16
+"""Samples that are written together."""
 
 DEFAULT_SEED: Final = 1
 """Seed of Monte Carlo where none is given, so that the same inputs give the same result."""
@@ -77,7 +79,7 @@ def force(
     """Force applied, with its uncertainty, from balance loads or, with a balance, from gauge outputs."""
     share_one_heap()
     check_output(out)
-    known = dynamics_of(read_any_dynamics(dynamics))
+    known = read_any_dynamics(dynamics)
     settings = ForceSettings() if settings is None else settings
     source = LoadSource(known, files, settings.gravity, channel_map)
     inputs = [path, dynamics, *source.paths, *([] if noise_record is None else [noise_record])]
@@ -134,8 +136,8 @@ class _Found:
 
     Attributes
     ----------
-    samples
-        Samples of the record.
+    samples, every
+        Samples of the clock that the record is worked out on, and of the record for each of them.
     origin
         A recording of the record's channels and start, without samples.
     summaries
@@ -151,6 +153,7 @@ class _Found:
     """
 
     samples: int
+    every: int = 1
     _origin: Recording | None = None
     _summaries: dict[str, SummaryOfParts] = field(default_factory=dict)
     noises: dict[str, NoiseSpectrum] = field(default_factory=dict)
@@ -174,9 +177,9 @@ class _Found:
         """Add a part of the record that begins at `start` [s]."""
         for name in given.values:
             if name not in self._summaries:
-                self._summaries[name] = SummaryOfParts(name, self.samples)
+                self._summaries[name] = SummaryOfParts(name, self.samples, self.every)
                 if pictured:
-                    self.curves[name] = ForceCurves(self.samples, start)
+                    self.curves[name] = ForceCurves(self.samples, start, self.every)
             self._summaries[name].add(given)
             if pictured:
                 self.curves[name].add(given, name)
@@ -184,25 +187,30 @@ class _Found:
         if force is None:
             return
         if self._origin is None:
+            own = force.recording if given.clock is None else given.clock[0]
             empty = {name: replace(one, values=np.zeros(0)) for name, one in force.recording.channels.items()}
-            self._origin = replace(force.recording, channels=empty, start=start)
+            self._origin = replace(own, channels=empty, start=start)
             self.noises = dict(force.noises)
         if force.loads is not None:
             self.loads = self.loads or LoadsSummary()
-            self.loads.add(force.loads, given.own)
+            self.loads.add(force.loads, given.own, every=self.every)
         self.worst.add(given)
 
 
 def _worked_out(work: ForceWork, out: Path, append: Append, *, pictured: bool) -> _Found:
     """Work out the forces of a record part by part, and write them as they come."""
     record = work.record
-    found = _Found(record.samples)
+    found = _Found(work.working.samples, work.working.every)
     for given in work.parts():
-        force = given.force
-        if force is not None:
-            append(force_columns(out, force.recording, given.own, given.values, given.uncertainty))
+        there = given.samples_of_record
+        if there is not None:
+            clock, own, values, uncertainty = there
+            for first in range(0, own.stop - own.start, AT_ONCE):
+                some = slice(first, min(first + AT_ONCE, own.stop - own.start))
+                columns = [{name: one[some] for name, one in column.items()} for column in (values, uncertainty)]
+                append(force_columns(out, clock, slice(own.start + some.start, own.start + some.stop), *columns))
         found.add(given, record.start, pictured=pictured)
-        del given, force  # the next part needs the memory
+        del given, there  # the next part needs the memory
     return found
 
 

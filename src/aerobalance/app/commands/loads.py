@@ -24,14 +24,14 @@ from aerobalance.balance.inversion import TOLERANCE
 from aerobalance.balance.load_checks import beyond_range
 from aerobalance.balance.load_formats import Form
 from aerobalance.balance.loads import Loads
-from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.independent import IndependentDynamics
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.io import check_output
 from aerobalance.io.balance_file import read_matrix, write_balance
 from aerobalance.io.balfit_matrix import write_balfit_matrix
 from aerobalance.io.kinds import TABLE
 from aerobalance.io.results_file import load_columns, writing
 from aerobalance.recording.channel import Array
+from aerobalance.recording.decimation import between_samples
 from aerobalance.recording.part_warnings import PartWarnings
 from aerobalance.recording.parts import parts_of
 from aerobalance.recording.progress import PROGRESS
@@ -74,7 +74,7 @@ class LoadSource(NamedTuple):
         Channel map of foreign files.
     """
 
-    known: IndependentDynamics | CoupledDynamics
+    known: BalanceDynamics
     files: BalanceFiles | None
     gravity: float
     channel_map: Path | None
@@ -160,8 +160,8 @@ class LoadsSummary:
     _beyond: Counter[str] = field(default_factory=Counter)
     _contraction: float = 0.0
 
-    def add(self, felt: Loads, own: slice) -> None:
-        """Add those samples of a part that it answers for."""
+    def add(self, felt: Loads, own: slice, *, every: int = 1) -> None:
+        """Add those samples of a part that it answers for, each of which was made of so many of the record."""
         values, calibration = felt.values[own], felt.calibration[own]
         known = np.isfinite(values)
         filled = np.where(known, values, 0.0)
@@ -178,8 +178,11 @@ class LoadsSummary:
             change.sum(axis=0),
             (change**2).sum(axis=0),
             np.nansum(calibration**2, axis=0),
-            values.shape[0] * felt.noise**2,
+            values.shape[0] * every * felt.noise**2,
         ]
+        if every > 1:  # the largest lie between the samples
+            values = np.column_stack([between_samples(column, every) for column in values.T])
+            known = np.isfinite(values)
         low, high = np.where(known, values, np.inf), np.where(known, values, -np.inf)
         self._ends = np.array(
             [

@@ -32,11 +32,10 @@ def plan(
 ) -> Result:
     """Attainable uncertainty against bandwidth and sampling rate, of every component or of one."""
     known = read_any_dynamics(dynamics)
-    names = known.components if isinstance(known, CoupledDynamics) else tuple(known)
-    if component is not None and component not in names:
-        raise ValueError(f"{dynamics} has no {component}; it has {', '.join(names)}")
-    if component is not None and not isinstance(known, CoupledDynamics):
-        known = {component: known[component]}
+    if component is not None and component not in known.components:
+        raise ValueError(f"{dynamics} has no {component}; it has {', '.join(known.components)}")
+    if component is not None:
+        known = known.block_of(component)
     with collected_warnings() as collected:
         found = plan_test(
             known,

@@ -12,8 +12,8 @@ from aerobalance.acquisition.setup import Setup, stored_channels
 from aerobalance.acquisition.simulated import rig_dynamics
 from aerobalance.acquisition.source_settings import Simulated
 from aerobalance.app.monitor.view import Panel
-from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
+from aerobalance.dynamics.independent import NO_DYNAMICS
 from aerobalance.io.balance_file import read_matrix
 from aerobalance.io.dynamics_file import read_any_dynamics
 from aerobalance.recording.errors import FitError
@@ -39,7 +39,7 @@ def panel_of(setup: Setup, info: SourceInfo, folder: Path, zeros: Mapping[str, f
         A channel has no such unit, the load envelope lacks something, or a file cannot be read.
     """
     channels = stored_channels(setup, info.channels)
-    dynamics = dynamics_of(setup, folder)
+    dynamics = watched_dynamics(setup, folder)
     balance = None if setup.files.balance is None else read_matrix(folder / setup.files.balance)
     ranges = ranges_of(setup, channels, balance)
     units = {channel.name: channel.unit for channel in channels}
@@ -56,16 +56,17 @@ def panel_of(setup: Setup, info: SourceInfo, folder: Path, zeros: Mapping[str, f
         gravity=setup.gravity,
         circuit=contact_circuit(setup, channel_columns(channels), units, info.rate),
     )
-    if isinstance(dynamics, CoupledDynamics) and not panel.components:
-        lacking = [name for name in dynamics.components if name not in panel.names]
-        raise FitError(
-            f"the components of the dynamics are coupled, so the force of each needs the readings of all: there is "
-            f"no {', '.join(lacking)} among {', '.join(panel.names)}"
-        )
+    for block in dynamics.blocks:
+        lacking = [name for name in block.components if name not in panel.names]
+        if lacking and len(block.components) > 1:
+            raise FitError(
+                "the components of the dynamics are coupled, so the force of each needs the readings of all: there is "
+                f"no {', '.join(lacking)} among {', '.join(panel.names)}"
+            )
     return panel
 
 
-def dynamics_of(setup: Setup, folder: Path) -> dict[str, Dynamics] | CoupledDynamics:
+def watched_dynamics(setup: Setup, folder: Path) -> BalanceDynamics:
     """Dynamics that the set-up names; of a simulated rig, where it names none, those that it is simulated with.
 
     Raises
@@ -77,4 +78,4 @@ def dynamics_of(setup: Setup, folder: Path) -> dict[str, Dynamics] | CoupledDyna
         return read_any_dynamics(folder / setup.files.dynamics)
     if isinstance(setup.source, Simulated):
         return rig_dynamics(setup.source.rig)
-    return {}
+    return NO_DYNAMICS

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -23,8 +24,7 @@ from aerobalance.app.monitor.steady import newest_steady
 from aerobalance.balance.load_envelope import LoadEnvelope
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.weight_on_zero import gauge_zero_of_readings
-from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.estimation.live.health import LiveEstimate
 from aerobalance.estimation.live.live_force import LiveForce, LiveSettings
 from aerobalance.estimation.live.platform import LiveChannel
@@ -60,7 +60,7 @@ class Panel:
     clocked
         Whether the source's clock is steady.
     dynamics
-        Dynamics of the components whose force is wanted, by name, or of coupled ones.
+        Dynamics of the components whose force is wanted.
     half_ranges
         Half of the range of components, SI.
     limits
@@ -80,7 +80,7 @@ class Panel:
     channels: tuple[StoredChannel, ...]
     rate: float
     clocked: bool
-    dynamics: Mapping[str, Dynamics] | CoupledDynamics
+    dynamics: BalanceDynamics
     half_ranges: Mapping[str, float]
     limits: Mapping[str, tuple[float, float]]
     zeros: Mapping[str, float] = field(default_factory=dict)
@@ -120,25 +120,20 @@ class Panel:
     @property
     def components(self) -> tuple[str, ...]:
         """Components whose force is worked out."""
-        if isinstance(self.dynamics, CoupledDynamics):
-            whole = set(self.dynamics.components) <= set(self.names)
-            return self.dynamics.components if whole else ()
-        return tuple(name for name in COMPONENTS if name in self.dynamics and name in self.names)
+        known = self.dynamics.estimable(self.names)
+        return tuple(name for name in COMPONENTS if name in known)
 
     @property
     def masses(self) -> Mapping[str, float]:
-        """Moving mass of components that are not coupled [kg, kg*m^2]."""
-        dynamics = self.dynamics
-        return {} if isinstance(dynamics, CoupledDynamics) else {name: one.mass for name, one in dynamics.items()}
+        """Moving mass of components of which it is known along one axis only [kg, kg*m^2]."""
+        alone = [block for block in self.dynamics.blocks if np.count_nonzero(block.moved_by) == 1]
+        return {block.components[0]: float(block.mass_rows.sum()) for block in alone}
 
     @property
     def frequencies(self) -> Mapping[str, float]:
         """Natural frequency that each component has alone [Hz]."""
-        dynamics = self.dynamics
-        if not isinstance(dynamics, CoupledDynamics):
-            return {name: one.natural_frequency for name, one in dynamics.items()}
-        own = np.sqrt(np.diag(dynamics.inertia)[: len(dynamics.components)])
-        return dict(zip(dynamics.components, (1 / (2 * np.pi * own)).tolist(), strict=True))
+        own = np.sqrt(np.diag(self.dynamics.quadratic[1]))
+        return dict(zip(self.dynamics.components, (1 / (2 * np.pi * own)).tolist(), strict=True))
 
 
 class View:
@@ -389,14 +384,12 @@ def _conversion(channel: StoredChannel) -> Conversion:
 
 def _followed(panel: Panel) -> list[tuple[LiveForce, list[int]]]:
     """The live forces, and the columns that each takes."""
-    dynamics = panel.dynamics
-    if isinstance(dynamics, CoupledDynamics):
-        return [_live(panel, dynamics, moves=dynamics.mass is not None)] if panel.components else []
-    return [_live(panel, dynamics[name], moves=True) for name in panel.components]
+    known = set(panel.components)
+    return [_live(panel, block) for block in panel.dynamics.blocks if known.issuperset(block.components)]
 
 
-def _live(panel: Panel, dynamics: Dynamics | CoupledDynamics, *, moves: bool) -> tuple[LiveForce, list[int]]:
-    own = dynamics.components if isinstance(dynamics, CoupledDynamics) else (dynamics.component,)
+def _live(panel: Panel, dynamics: BalanceDynamics) -> tuple[LiveForce, list[int]]:
+    own, moves = dynamics.components, bool(dynamics.moved_by.any())
     columns = [place for place, name in enumerate(panel.names) if name in own or (moves and name not in COMPONENTS)]
     sensors = dict(enumerate(panel.channels))
     channels = []
@@ -419,8 +412,5 @@ def _weights(panel: Panel, means: Array) -> dict[str, float]:
     if "pitch" not in places:
         return dict.fromkeys(panel.components, 0.0)
     pitch, roll = (means[[places[name]]] if name in places else np.zeros(1) for name in ("pitch", "roll"))
-    dynamics, found = panel.dynamics, {}
-    for name in panel.components:
-        one = dynamics if isinstance(dynamics, CoupledDynamics) else dynamics[name]
-        found[name] = float(one.weight(name, pitch=pitch, roll=roll, gravity=panel.gravity)[0])
-    return found
+    weight = partial(panel.dynamics.weight, pitch=pitch, roll=roll, gravity=panel.gravity)
+    return {name: float(weight(name)[0]) for name in panel.components}

@@ -37,6 +37,8 @@ class CloserView:
         Balance load, force applied and its standard uncertainty, shape (m,) each [N].
     size
         How large the event is that the view is about [N].
+    every
+        Samples of the record for each of these.
     """
 
     start: float
@@ -45,10 +47,11 @@ class CloserView:
     force: Array
     uncertainty: Array
     size: float
+    every: int = 1
 
     def time(self, rate: float) -> Array:
-        """Times of the samples, shape (m,) [s]."""
-        return np.asarray(self.start + (self.first + np.arange(self.force.size)) / rate)
+        """Times of the samples, shape (m,) [s], the sampling rate of the record being `rate` [Hz]."""
+        return np.asarray(self.start + (self.first + np.arange(self.force.size)) * self.every / rate)
 
 
 @dataclass(slots=True, eq=False)
@@ -58,13 +61,16 @@ class ForceCurves:
     Attributes
     ----------
     samples
-        Samples of the record.
+        Samples of the clock that the record is worked out on.
     start
         Time of the first [s].
+    every
+        Samples of the record for each of that clock.
     """
 
     samples: int
     start: float
+    every: int = 1
     _ends: dict[str, Array] = field(init=False)
     _spectrum: SpectrumSums = field(init=False)
     _views: dict[str, CloserView] = field(default_factory=dict)
@@ -104,7 +110,13 @@ class ForceCurves:
                 first = int(np.clip(place - BEFORE * length, 0, force.size - length))
                 kept = slice(first, first + length)
                 self._views[name] = CloserView(
-                    self.start, part.begin + first, load[kept].copy(), force[kept].copy(), u[kept].copy(), size[place]
+                    self.start,
+                    part.begin + first,
+                    load[kept].copy(),
+                    force[kept].copy(),
+                    u[kept].copy(),
+                    size[place],
+                    self.every,
                 )
 
     def _add_pieces(self, name: str, values: Array, first: int) -> None:
@@ -116,11 +128,12 @@ class ForceCurves:
         ends[place, 1] = np.maximum(ends[place, 1], np.maximum.reduceat(values, edges))
 
     def times(self, rate: float) -> Array:
-        """Times of the points of `load` and `force`, shape (m,) [s]."""
+        """Times of the points of `load` and `force`, shape (m,) [s], the record's sampling rate being `rate` [Hz]."""
+        interval = self.every / rate
         if self.width == 1:
-            return np.asarray(self.start + np.arange(self.samples) / rate)
+            return np.asarray(self.start + np.arange(self.samples) * interval)
         middle = np.arange(self.samples // self.width) * self.width + self.width // 2
-        return np.repeat(self.start + middle / rate, 2)
+        return np.repeat(self.start + middle * interval, 2)
 
     @property
     def load(self) -> Array:
@@ -139,10 +152,13 @@ class ForceCurves:
         kept = ends[: self.samples // self.width].ravel()
         return np.where(np.isfinite(kept), kept, np.nan)
 
-    @property
-    def load_density(self) -> Array:
-        """One-sided spectral density of the load at a sampling rate of 1, shape (m,) [N^2]."""
-        return np.asarray(self._spectrum.density / self._spectrum.segments)
+    def load_spectrum(self, rate: float) -> tuple[Array, Array]:
+        """Frequencies [Hz] and one-sided spectral density of the load [N^2/Hz], the rate of the record being given."""
+        own = rate / self.every
+        frequency = np.arange(self._spectrum.density.size) * (own / self._spectrum.length)
+        return np.asarray(frequency, dtype=np.float64), np.asarray(
+            self._spectrum.density / self._spectrum.segments / own
+        )
 
     def closer(self, summary: ForceSummary) -> CloserView:
         """Samples around the largest step, or else around the value farthest from the mean."""

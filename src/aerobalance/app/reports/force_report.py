@@ -90,7 +90,7 @@ def force_figure(summary: ForceSummary, shown: ForceCurves, *, rate: float) -> s
     band = COVERAGE_FACTOR * closer.uncertainty
     low, high = closer.force - band, closer.force + band
     axes[1].fill_between(near, low, high, color=colours.second, alpha=0.3, linewidth=0, label="95 % band")
-    axes[0].set_xlim(shown.start, shown.start + (shown.samples - 1) / rate)
+    axes[0].set_xlim(shown.start, shown.start + (shown.samples - 1) * shown.every / rate)
     axes[1].set_xlim(near[0], near[-1])
     axes[0].axvspan(near[0], near[-1], color=colours.third, alpha=0.12, linewidth=0)
     axes[1].set(xlabel="time [s]")
@@ -106,12 +106,12 @@ def spectrum_figure(summary: ForceSummary, shown: ForceCurves, *, rate: float) -
     figure, (ax,) = empty_figure(colours, (7.6, 3.8), rows=1)
     found = spectrum(summary, rate=rate)
     inner = slice(1, None)
-    frequency, density = found.frequency, shown.load_density / rate
+    frequency, (of_load, density) = found.frequency, shown.load_spectrum(rate)
     force = found.density[inner]
     highest = max(float(force.max(initial=0.0)), float(density[inner].max(initial=0.0)), 1e-30)
     least = 1e-9 * highest
     ax.loglog(
-        frequency[inner], np.maximum(density[inner], least), color=colours.first, linewidth=0.9, label="balance load"
+        of_load[inner], np.maximum(density[inner], least), color=colours.first, linewidth=0.9, label="balance load"
     )
     for u, colour, label in (
         (found.scatter, colours.third, "95 % band as an estimate of a stationary spectrum"),

@@ -15,13 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.estimation.checks.model_error import error_under
-from aerobalance.estimation.decoupled_record import DecoupledRecord
 from aerobalance.estimation.force_smoother import SmootherResult, instant_columns
+from aerobalance.estimation.independent_record import SingleRecord, moves_along_axis
 from aerobalance.estimation.prior import generalised_least_squares
-from aerobalance.estimation.record import ComponentRecord, SingleRecord, Through
+from aerobalance.estimation.record import ComponentRecord, Through
 from aerobalance.motion.platform import SystematicParameter
-from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.components import IS_FORCE, acceleration_name, si_unit
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import Assumption
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.sensors import Transfer, filtered
@@ -75,7 +75,7 @@ def assumptions_of(record: ComponentRecord, fit: SmootherResult, through: Throug
         return float(np.sqrt(np.mean(through(np.where(reading.present, change, 0.0)[:, None])[:, 0] ** 2)))
 
     if name not in record.recording.declared:
-        corner = SETTINGS.corner * record.recording.rate
+        corner = SETTINGS.corner * record.recording.rate * record.recording.decimated
         change = filtered(reading.filled, _low_pass(corner), rate=record.recording.rate) - reading.filled
         text = (
             f"no analog filter or amplifier is declared for {name}: one of second order at {corner:.4g} Hz, "
@@ -84,11 +84,12 @@ def assumptions_of(record: ComponentRecord, fit: SmootherResult, through: Throug
         late = float(np.sqrt(2)) / (2 * np.pi * corner)  # by so much it delays what is slow, and the steps
         at_steps = np.sum([step.height**2 for step in fit.steps]) * late / (fit.force.size * record.interval)
         yield _told("load filter", name, text, float(np.hypot(effect_of(change), np.sqrt(at_steps))), unit)
-    if isinstance(record, SingleRecord):
+    if moves_along_axis(record):
         yield from _of_single(record, fit, unit)
-    aside = _aside(record)
-    if aside is not None:
-        item, channel = aside
+    across = record.motion_across
+    if across is not None:
+        slope, channel = across
+        item = SystematicParameter("", "", SETTINGS.aside * slope, 0.0)
         text = (
             f"what moves across its axis is taken to be no part of {channel}: one degree aside, and a motion across "
             "as large as along it, would change the force by {}"
@@ -138,22 +139,3 @@ def _low_pass(corner: float) -> Transfer:
         return np.asarray(1 / (1 - x**2 + 1j * np.sqrt(2) * x), dtype=np.complex128)
 
     return response
-
-
-def _aside(record: ComponentRecord) -> tuple[SystematicParameter, str] | None:
-    """The motion that an accelerometer would show of one across its axis, and its name; None where nothing moves."""
-    if isinstance(record, DecoupledRecord):
-        moving = record.platform.acceleration * IS_FORCE
-        slope = SETTINGS.aside * (moving - moving.mean(axis=0))
-        return (SystematicParameter("", "", slope, 0.0), "the ground's accelerometers") if slope.any() else None
-    names = (acceleration_name("ground", record.dynamics.component), "ground_acceleration")
-    channel: Channel | None = next(
-        (record.recording.channel(name) for name in names if name in record.recording), None
-    )
-    if channel is None or channel.cross_axis or not isinstance(record, SingleRecord):
-        return None
-    force = record.motion.specific_force
-    if not np.ptp(force) > 0:
-        return None
-    values = np.where(np.isfinite(channel.values), channel.values, np.nanmean(channel.values))
-    return SystematicParameter("", "", SETTINGS.aside * (values - values.mean()), 0.0), channel.name

@@ -18,8 +18,9 @@ from scipy.fft import next_fast_len
 
 from aerobalance.estimation.error_sources import Contribution, Systematic
 from aerobalance.estimation.force_smoother import SmootherResult, instant_columns
+from aerobalance.estimation.independent_record import SingleRecord
 from aerobalance.estimation.prior import fit_prior, generalised_least_squares, whitened
-from aerobalance.estimation.record import SingleRecord, Through
+from aerobalance.estimation.record import Through
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.motion.platform import SystematicParameter
 from aerobalance.motion.single_axis import GroundMotion

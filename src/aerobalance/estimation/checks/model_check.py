@@ -24,8 +24,9 @@ from aerobalance.estimation.checks.resonance import Spoken, change_by_steps, spo
 from aerobalance.estimation.checks.steady_tones import without_tones
 from aerobalance.estimation.checks.unmeasured_rotation import turning_by_angles
 from aerobalance.estimation.coupled_record import CoupledRecord
+from aerobalance.estimation.independent_record import SingleRecord
 from aerobalance.estimation.prior import Observation, SpectralPrior
-from aerobalance.estimation.record import FEWEST_SAMPLES, ComponentRecord, SingleRecord
+from aerobalance.estimation.record import FEWEST_SAMPLES, ComponentRecord
 from aerobalance.estimation.result import ComponentForce, with_doubt, with_errors
 from aerobalance.estimation.spectra.line_noise import Line, reading_of_lines
 from aerobalance.estimation.steps import Step, columns_of
@@ -68,6 +69,9 @@ class ModelCheckSettings:
         The same over the standard deviation of the readings: what swings less is not looked at.
     beyond
         Factor that puts a natural frequency beyond all that is recorded.
+    peaked, beside
+        Density of the color of a noise at a mode over that beside it, so far away over its frequency on either side,
+        from which on the color is the mode's: the edge of a band has its level on one side.
     """
 
     drift: float = 5.0
@@ -79,6 +83,8 @@ class ModelCheckSettings:
     least_noise: float = 1e-3
     least_signal: float = 1e-3
     beyond: float = 1e3
+    peaked: float = 3.0
+    beside: float = 0.1
 
 
 SETTINGS: Final = ModelCheckSettings()
@@ -221,17 +227,17 @@ def checked(force: Force) -> Force:
             part = parts[doubt.component]
             parts[doubt.component] = replace(part, doubts=(*part.doubts, doubt))
     else:
-        single = record.component_records(force.filled)
         for name in force:
-            own, found_motion = single[name].dynamics, force[name].found_motion
-            one = single[name] if found_motion is None else single[name].with_motion(found_motion)
+            one, found_motion = record.component_record(name), force[name].found_motion
+            own = one.dynamics
+            one = one if found_motion is None else one.with_motion(found_motion)
             kinds = {doubt.kind for doubt in force[name].doubts}
             if "resolution" in kinds:
                 continue  # what rounding makes of a load swings at multiples of it
             misfit = misfit_of(one, **known_of_one(name))
             if "colored noise" in kinds:
                 misfit = replace(misfit, silent=False)  # noise does not ring
-            found, interval = misfit.doubts(own), single[name].interval
+            found, interval = misfit.doubts(own), one.interval
             parts[name] = _raised(parts[name], found, own, interval=interval)
             if misfit.possible is not None:
                 parts[name] = _left_open(parts[name], misfit.possible, own, interval=interval)
@@ -364,8 +370,11 @@ def _looks_alike(mode: Mode, learned: SpectralPrior, interval: float) -> bool:
     """Whether a force above the natural frequency or the color of the noise there has edges that look like a mode."""
     if learned.rising or learned.color is None:
         return learned.rising
-    there = learned.color.density(np.array([mode.natural_frequency]), width=0.0)
-    return float(there[0]) > learned.noise**2 * interval
+    beside = 1 + SETTINGS.beside * np.array([-1.0, 0.0, 1.0])
+    below, there, above = learned.color.density(mode.natural_frequency * beside, width=0.0)
+    # an edge has its level on one side of it: what stands out of both is the mode, taken for a color
+    peaked = there > SETTINGS.peaked * max(below, above)
+    return bool(there > learned.noise**2 * interval and not peaked)
 
 
 def _peaks(record: ComponentRecord, *, noise: float, steps: Sequence[Step], hum: Sequence[Line]) -> list[Peak]:
@@ -385,11 +394,7 @@ def _unbroken(
     """The longest stretch of a reading without a gap, hum taken out, and the steps within; None where it is still."""
     reading = record.reading()
     lines = reading_of_lines(tuple(hum), count=reading.values.size, interval=reading.interval) if hum else 0.0
-    told = reading.present
-    if not isinstance(
-        record, SingleRecord
-    ):  # what a gap of the ground's motion hides, and is not found, swings as well
-        told = told & ~record.hides_motion
+    told = reading.present & ~record.hides_motion  # what is hidden and not found swings as well
     edges = np.flatnonzero(np.diff(np.concatenate(([False], told, [False])).astype(np.int8)))
     stretches = edges.reshape(-1, 2)
     if not len(stretches):

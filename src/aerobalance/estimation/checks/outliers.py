@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.balance.loads import Loads
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import Doubt
@@ -85,25 +86,25 @@ def without_wild_samples(
     return replace(given, recording=clean, values=table), tuple(doubts)
 
 
-def impossible_channels(given: Recording | Loads, components: Sequence[str], *, coupled: bool) -> tuple[Doubt, ...]:
+def impossible_channels(given: Recording | Loads, dynamics: BalanceDynamics) -> tuple[Doubt, ...]:
     """Return what is to be said of channels as a whole: those that never change, and angles that nothing has.
 
     Parameters
     ----------
     given
         The run.
-    components
-        Components whose loads are looked at, beside the channels of the ground's motion.
-    coupled
-        Whether the force of each needs the readings of all.
+    dynamics
+        Those of the components whose loads are looked at, beside the channels of the ground's motion: a load is said
+        something of with every force that needs it.
     """
     recording = given.recording if isinstance(given, Loads) else given
-    present = [name for name in components if name in recording]
+    present = [name for name in dynamics.components if name in recording]
     return tuple(
         doubt
         for name, channel in recording.channels.items()
         if name in present or _of_ground(name)
-        for component in ([name] if name in present and not coupled else present)
+        for component in (dynamics.block_of(name).components if name in present else present)
+        if component in present
         for doubt in _doubts_of_channel(recording, channel, component)
     )
 

@@ -17,7 +17,7 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.modal import ModalModel, Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.near_resonance import near_resonance
 from aerobalance.estimation.force_smoother import instant_columns
@@ -177,18 +177,18 @@ class Evidence:
     _known: dict[tuple[float, ...], SpectrumFit] = field(default_factory=dict)
     _density: Array | None = None
 
-    def of(self, dynamics: Dynamics) -> float:
+    def of(self, dynamics: ModalModel) -> float:
         """Logarithm of the likelihood of the reading with dynamics, less the price of the force's spectrum."""
         return self._fit(dynamics).evidence
 
-    def nearly(self, dynamics: Dynamics, start: Dynamics) -> float:
+    def nearly(self, dynamics: ModalModel, start: ModalModel) -> float:
         """The same, at most, of dynamics nearly like others: with a spectrum of the kind that is best with those."""
         periodogram = self._periodogram(dynamics)
         return refit_spectrum(
             periodogram, self._fit(start), noise_density=self.white, floor=self.floor, rising=self.rising
         ).evidence
 
-    def _fit(self, dynamics: Dynamics) -> SpectrumFit:
+    def _fit(self, dynamics: ModalModel) -> SpectrumFit:
         key = tuple(number for mode in dynamics.modes for number in (*_numbers(mode),))
         if key not in self._known:
             periodogram = self._periodogram(dynamics)
@@ -197,7 +197,7 @@ class Evidence:
             )
         return self._known[key]
 
-    def _periodogram(self, dynamics: Dynamics) -> Periodogram:
+    def _periodogram(self, dynamics: ModalModel) -> Periodogram:
         color = self.color
         if self._density is None:
             self._density = density_of(self.values, self.interval)
@@ -209,7 +209,7 @@ class Evidence:
             density=self._density,
         )
 
-    def peaks(self, dynamics: Dynamics) -> list[float]:
+    def peaks(self, dynamics: ModalModel) -> list[float]:
         """Frequencies of narrow peaks that are no known mode's, the highest over its surroundings first [Hz]."""
         count = self.values.size
         power = np.abs(np.fft.rfft(self.values * hann(count))) ** 2

@@ -14,13 +14,13 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.mode_shapes import Moved
 from aerobalance.estimation.checks.resonance import SETTINGS as EVIDENCE
 from aerobalance.estimation.checks.resonance import Evidence
 from aerobalance.estimation.checks.ringing import Ringing
 from aerobalance.estimation.coupled_record import CoupledRecord
+from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.recording.channel import Array
 
@@ -95,17 +95,13 @@ def resonance_changes(force: Force) -> tuple[ResonanceChange, ...]:
     record = force.record
     if isinstance(record, CoupledRecord):
         return _coupled(force, record)
-    found = []
-    for name, one in record.component_records(force.filled).items():
-        part, dynamics = force[name], one.dynamics
-        if not isinstance(dynamics, Dynamics) or part.learned is None:
-            continue
-        found.append(_single(name, dynamics, part, one.reading().filled, interval=one.reading().interval))
-    return tuple(found)
+    records = record.component_records(force.filled)
+    return tuple(_single(records[name], part) for name, part in force.items() if part.learned is not None)
 
 
-def _single(name: str, dynamics: Dynamics, part: ComponentForce, values: Array, *, interval: float) -> ResonanceChange:
-    still = ResonanceChange(name, dynamics.natural_frequency)
+def _single(record: ComponentRecord, part: ComponentForce) -> ResonanceChange:
+    dynamics, interval, values = record.dynamics, record.interval, record.reading().filled
+    still = ResonanceChange(dynamics.component, dynamics.natural_frequency)
     learned = part.learned
     if learned is None or dynamics.damping_ratio <= 0 or 2 * dynamics.natural_frequency * interval >= 1:
         return still

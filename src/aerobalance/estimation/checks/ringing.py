@@ -131,7 +131,8 @@ class Ringing:
         parts
             The forces that were worked out.
         """
-        loads = loads[: SETTINGS.samples] - loads[: SETTINGS.samples].mean(axis=0)
+        most = SETTINGS.samples // record.recording.decimated  # as long a time on any clock
+        loads = loads[:most] - loads[:most].mean(axis=0)
         count, interval = loads.shape[0], record.interval
         step = 1 / (count * interval)
         top = SETTINGS.highest * max(mode.natural_frequency for mode in record.dynamics.modes)

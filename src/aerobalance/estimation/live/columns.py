@@ -8,8 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.estimation.live.platform import LiveChannel, LivePlatform
 from aerobalance.motion.sensors import sensor_kind
 from aerobalance.recording.channel import Array, Channel
@@ -63,10 +62,8 @@ class Columns:
     @classmethod
     def of(
         cls,
-        dynamics: Dynamics | CoupledDynamics,
+        dynamics: BalanceDynamics,
         channels: Sequence[LiveChannel],
-        *,
-        mass_known: bool,
     ) -> Columns:
         """Find the columns.
 
@@ -75,7 +72,7 @@ class Columns:
         ValueError
             There is no channel of a component, or the non-metric end moves and the mass is not known.
         """
-        components = (dynamics.component,) if isinstance(dynamics, Dynamics) else dynamics.components
+        components = dynamics.components
         all_names = tuple(channel.name for channel in channels)
         lacking = [name for name in components if name not in all_names]
         if lacking:
@@ -85,17 +82,14 @@ class Columns:
             )
         by_name = {channel.name: channel for channel in channels}
         sensors = [one for one in channels if sensor_kind(one.name) is not None]
-        if isinstance(dynamics, Dynamics):
-            name = acceleration_name("ground", dynamics.component)
+        along = int(np.count_nonzero(dynamics.moved_by)) == 1  # of one alone, by what it is moved by
+        if along:
+            name = acceleration_name("ground", components[0])
             one = by_name.get(name, by_name.get("ground_acceleration"))
             sensors = [] if one is None else [one]
-        platform = (
-            LivePlatform.along(dynamics.component, sensors[0])
-            if isinstance(dynamics, Dynamics) and sensors
-            else LivePlatform.of(sensors)
-        )
+        platform = LivePlatform.along(components[0], sensors[0]) if along and sensors else LivePlatform.of(sensors)
         angles = [name for name in ("pitch", "roll") if name in by_name and "pitch" in by_name]
-        if (sensors or angles) and not mass_known:
+        if (sensors or angles) and not dynamics.moved_by.any():
             out = ", ".join([*(one.name for one in sensors), *angles])
             raise ValueError(
                 "the ground end moves or pitches, but the dynamics hold no mass: give mass, centre of gravity and "

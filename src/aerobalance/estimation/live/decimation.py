@@ -8,30 +8,11 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from aerobalance.recording.channel import Array
-
-ROLL_OFF: Final = 0.25
-"""Part of the new Nyquist frequency that the filter takes to fall off, on either side of it."""
+from aerobalance.recording.decimation import decimation_filter
 
 SPAN: Final = 8
-"""New samples on either side that the filter reaches over."""
-
-
-def root_raised_cosine(factor: int) -> Array:
-    """Coefficients of the filter, shape (2 SPAN factor + 1,), of sum 1.
-
-    The squares of its gain at a frequency and at the one that folds onto it add up to 1: white noise stays white.
-    Up to 1 - ROLL_OFF of the new Nyquist frequency the gain is 1.
-    """
-    t = np.arange(-SPAN * factor, SPAN * factor + 1) / factor
-    beta = ROLL_OFF
-    with np.errstate(divide="ignore", invalid="ignore"):
-        numerator = np.sin(np.pi * t * (1 - beta)) + 4 * beta * t * np.cos(np.pi * t * (1 + beta))
-        values = numerator / (np.pi * t * (1 - (4 * beta * t) ** 2))
-    values[t == 0] = 1 - beta + 4 * beta / np.pi
-    pole = np.isclose(np.abs(t), 1 / (4 * beta))
-    angle = np.pi / (4 * beta)
-    values[pole] = beta / np.sqrt(2) * ((1 + 2 / np.pi) * np.sin(angle) + (1 - 2 / np.pi) * np.cos(angle))
-    return np.asarray(values / values.sum())
+"""New samples on either side that the filter reaches over: a third of what a record that is complete can take, as the
+force waits for them."""
 
 
 class Decimator:
@@ -49,7 +30,7 @@ class Decimator:
         if factor < 1:
             raise ValueError(f"one sample of {factor} cannot be taken; the factor is at least 1")
         self.factor = factor
-        self._taps = root_raised_cosine(factor) if factor > 1 else np.ones(1)
+        self._taps = decimation_filter(factor, SPAN) if factor > 1 else np.ones(1)
         self._half = self._taps.size // 2
         self._held = np.empty((0, columns))
 

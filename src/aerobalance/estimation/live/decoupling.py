@@ -9,54 +9,18 @@ that is coupled with no other keeps its readings as they are.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.decoupling import DecoupledChannel, Fractions
+from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.driven_modes import DrivenModes
-from aerobalance.dynamics.modal import ModalModel
-from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.channel import Array
 from aerobalance.recording.resampling import REACH, hold_over_gaps
 
 MARGIN: Final = REACH
 """Samples on either side of a gap whose decoupled readings count as missing: the interpolation reaches into it."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LiveDecoupledChannel:
-    """The model of one component that gives its force, and how its reading comes from those of all.
-
-    Attributes
-    ----------
-    dynamics
-        That model.
-    fractions
-        How its reading comes from those of the n components.
-    partners
-        Which of them have a part in it, shape (n,).
-    alone
-        Whether it is the component's own reading.
-    """
-
-    dynamics: ModalModel
-    fractions: Fractions
-    partners: NDArray[np.bool_]
-    alone: bool
-
-
-def decoupled(dynamics: Dynamics | CoupledDynamics, *, noise: Array) -> list[LiveDecoupledChannel]:
-    """Return the decoupled channels of n components; `noise` is the covariance of a reading, shape (n, n)."""
-    if isinstance(dynamics, CoupledDynamics):
-        channels = [DecoupledChannel.of(dynamics, name, noise=noise) for name in dynamics.components]
-        return [LiveDecoupledChannel(one.dynamics, one.fractions, one.partners, one.alone) for one in channels]
-    none = np.zeros((len(dynamics.modes), 1))
-    own = Fractions(np.ones(1), dynamics.modes, none, none)
-    return [LiveDecoupledChannel(dynamics, own, np.ones(1, dtype=np.bool_), alone=True)]
 
 
 class Decoupler:
@@ -80,19 +44,20 @@ class Decoupler:
     """
 
     def __init__(
-        self, channels: Sequence[LiveDecoupledChannel], *, interval: float, moves: bool, delay: float = 0.0
+        self, channels: Sequence[DecoupledChannel], *, interval: float, moves: bool, delay: float = 0.0
     ) -> None:
         n = len(channels)
         self._partners = np.array([channel.partners for channel in channels])
         self._crowd = np.array([not channel.alone for channel in channels])
         self._mixed, self._moves = bool(self._crowd.any()), moves
         self._margin = MARGIN if self._mixed else 0
-        self._direct = np.array([channel.fractions.direct for channel in channels])
+        fractions = [channel.fractions for channel in channels]
+        self._direct = np.array([one.direct for one in fractions])
         # one row for every mode of every channel
-        self._owner = np.repeat(np.arange(n), [len(channel.fractions.modes) for channel in channels])
-        self._by_value = np.vstack([channel.fractions.by_value for channel in channels])
-        self._by_rate = np.vstack([channel.fractions.by_rate for channel in channels])
-        modes = [mode for channel in channels for mode in channel.fractions.modes]
+        self._owner = np.repeat(np.arange(n), [len(one.modes) for one in fractions])
+        self._by_value = np.vstack([one.by_value for one in fractions])
+        self._by_rate = np.vstack([one.by_rate for one in fractions])
+        modes = [mode for one in fractions for mode in one.modes]
         self._contributions = np.array([[mode.share, mode.rate_share] for mode in modes])
         delays = [0.0] * self._mixed + [delay] * moves
         self._modes = DrivenModes(modes, interval=interval, delays=delays) if delays else None

@@ -10,11 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
-from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.decoupled_record import mass_rows, mass_slopes
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
+from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import AXES, COMPONENTS, FORCE_ROWS, driving_axis
+from aerobalance.recording.components import COMPONENTS
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +43,20 @@ class Equation:
     covariance: Array
     delay: float = 0.0
     turning: RigidMass | None = None
+
+    @classmethod
+    def of(cls, dynamics: BalanceDynamics) -> Equation:
+        """Return the equation of components whose forces are estimated together."""
+        damping, inertia = dynamics.quadratic
+        return cls(
+            components=dynamics.components,
+            damping=damping,
+            inertia=inertia,
+            mass=dynamics.mass_rows,
+            covariance=dynamics.row_covariance,
+            delay=float(dynamics.delays[0]),
+            turning=dynamics.mass,
+        )
 
     def net_load(self, specific_force: Array, turn_rate: Array | None) -> Array:
         """Return the loads on the moving mass by gravity and motion, W - M x1'', shape (m, n) [N, N*m].
@@ -77,49 +90,3 @@ class Equation:
         J = np.hstack([np.linalg.solve(self.inertia, left.T).T, rates, specific_force])
         variance = np.einsum("mi,nij,mj->mn", J, self.covariance, J, optimize=True)
         return np.asarray(np.maximum(variance, 0.0))
-
-
-def equation_of(dynamics: Dynamics | CoupledDynamics) -> Equation:
-    """Return the equation of motion of one component or of coupled ones."""
-    return _coupled(dynamics) if isinstance(dynamics, CoupledDynamics) else _single(dynamics)
-
-
-def _single(dynamics: Dynamics) -> Equation:
-    """A = M / k, D = b / k, and M along the axis that drives the component."""
-    M, k, b = dynamics.mass, dynamics.stiffness, dynamics.damping
-    column = FORCE_ROWS[AXES.index(driving_axis(dynamics.component))]
-    slopes = np.zeros((8, 3))  # of A, D and the row of M by mass, stiffness and damping
-    slopes[0, :2] = 1 / k, -M / k**2
-    slopes[1, 1:] = -b / k**2, 1 / k
-    slopes[2 + column, 0] = 1.0
-    mass = np.zeros((1, len(COMPONENTS)))
-    mass[0, column] = M
-    return Equation(
-        components=(dynamics.component,),
-        damping=np.array([[b / k]]),
-        inertia=np.array([[M / k]]),
-        mass=mass,
-        covariance=(slopes @ dynamics.covariance[:3, :3] @ slopes.T)[None],
-        delay=dynamics.delay,
-    )
-
-
-def _coupled(dynamics: CoupledDynamics) -> Equation:
-    n, size, mass = len(dynamics.components), len(dynamics.inertia), dynamics.mass
-    element = np.arange(2 * size * size).reshape(2, size, size)
-    covariance = np.zeros((n, 2 * n + 6, 2 * n + 6))
-    slopes = np.array([]) if mass is None else np.array(mass_slopes(mass))
-    for row, name in enumerate(dynamics.components):
-        own = element[:, row, :n].ravel()
-        covariance[row, : 2 * n, : 2 * n] = dynamics.covariance[np.ix_(own, own)]
-        if mass is not None:
-            by_mass = slopes[:, COMPONENTS.index(name)]
-            covariance[row, 2 * n :, 2 * n :] = by_mass.T @ mass.covariance @ by_mass
-    return Equation(
-        components=dynamics.components,
-        damping=dynamics.damping[:n, :n],
-        inertia=dynamics.inertia[:n, :n],
-        mass=mass_rows(dynamics),
-        covariance=covariance,
-        turning=mass,
-    )

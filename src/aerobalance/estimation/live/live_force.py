@@ -24,14 +24,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
+from aerobalance.dynamics.decoupling import DecoupledChannel
+from aerobalance.dynamics.independent import AnyDynamics, dynamics_of
 from aerobalance.estimation.live.alignment import Aligner
 from aerobalance.estimation.live.columns import Columns, judged_noise
 from aerobalance.estimation.live.component_smoother import ComponentSmoother, FinalSamples, SmootherSettings
 from aerobalance.estimation.live.decimation import Decimator
-from aerobalance.estimation.live.decoupling import Decoupler, LiveDecoupledChannel, decoupled
-from aerobalance.estimation.live.equation import equation_of
+from aerobalance.estimation.live.decoupling import Decoupler
+from aerobalance.estimation.live.equation import Equation
 from aerobalance.estimation.live.health import SHORTEST, Health, Learning, LiveEstimate, Snapshot
 from aerobalance.estimation.live.motion_test import MotionTest, MotionTestSettings
 from aerobalance.estimation.live.pending import Pending
@@ -97,7 +98,7 @@ class LiveForce:
     Parameters
     ----------
     dynamics
-        Dynamics of one component, or of n coupled ones, with their covariance.
+        Dynamics of one component, or of n coupled ones, with their covariance; or what `identify` returns.
     rate
         Sampling rate [Hz].
     channels
@@ -145,7 +146,7 @@ class LiveForce:
 
     def __init__(
         self,
-        dynamics: Dynamics | CoupledDynamics,
+        dynamics: AnyDynamics,
         *,
         rate: float,
         channels: Sequence[LiveChannel | str] | None = None,
@@ -156,15 +157,16 @@ class LiveForce:
     ) -> None:
         if not 0 < rate < np.inf:
             raise ValueError(f"rate must be positive and finite [Hz], not {rate}")
-        self.dynamics, self.rate, self.gravity = dynamics, rate, gravity
+        self.dynamics, self.rate, self.gravity = _block(dynamics_of(dynamics)), rate, gravity
         self.settings = settings or LiveSettings()
-        self._equation = equation_of(dynamics)
-        self._frequencies = _natural_frequencies(dynamics)
+        self._equation = Equation.of(self.dynamics)
+        self._frequencies = self.dynamics.leading_frequencies
         highest = max(self._frequencies, default=rate / 16)
         self.factor = max(1, int(rate / (self.settings.samples_a_period * highest)))
         self.interval = self.factor / rate
         n = len(self.components)
-        known = np.zeros((1, 1)) if noise is None and n == 1 else noise  # of one alone there is nothing to weigh
+        self._weighs = noise is not None or n > 1  # of one alone there is nothing to weigh
+        known = noise if self._weighs else np.eye(1)
         self._noise = self._given_noise = known
         self._learned = dict(learned or {})
         self.generation = 0
@@ -175,7 +177,7 @@ class LiveForce:
         if channels is not None:
             self._set_up(channels)
         if self._noise is not None:
-            self._smoothers(decoupled(dynamics, noise=self._noise), ahead=0)  # refuses what cannot be
+            self._smoothers(self._channels(self._noise), ahead=0)  # refuses what cannot be
 
     # ---- readings in, forces out
 
@@ -263,7 +265,7 @@ class LiveForce:
     @property
     def noise(self) -> Array | None:
         """Covariance of the noise of a reading, shape (n, n), as given or judged; None while it is not known."""
-        return self._noise if len(self.components) > 1 or self._given_noise is not None else None
+        return self._noise if self._weighs else None
 
     @property
     def steps(self) -> dict[str, tuple[Step, ...]]:
@@ -325,7 +327,7 @@ class LiveForce:
 
     def _set_up(self, channels: Sequence[LiveChannel | str]) -> None:
         given = [LiveChannel(one) if isinstance(one, str) else one for one in channels]
-        self._columns = Columns.of(self.dynamics, given, mass_known=bool(self._equation.mass.any()))
+        self._columns = Columns.of(self.dynamics, given)
         self._reset(0)
 
     def _rows(self, block: ArrayLike | Mapping[str, ArrayLike]) -> Array:
@@ -425,13 +427,16 @@ class LiveForce:
         columns = self._columns
         if columns is None or self._noise is None:
             raise AssertionError
-        channels = decoupled(self.dynamics, noise=self._noise)
+        channels = self._channels(self._noise)
         moves = self.moving or columns.pitch is not None
         self._decoupler = Decoupler(channels, interval=self.interval, moves=moves, delay=self._equation.delay)
         self._parts = self._smoothers(channels, ahead=self._decoupler.ahead)
         self._latency = self._decoupler.ahead + max(part.settings.lag for part in self._parts)
 
-    def _smoothers(self, channels: Sequence[LiveDecoupledChannel], *, ahead: int) -> list[ComponentSmoother]:
+    def _channels(self, noise: Array) -> list[DecoupledChannel]:
+        return [self.dynamics.decoupled(name, noise=noise) for name in self.components]
+
+    def _smoothers(self, channels: Sequence[DecoupledChannel], *, ahead: int) -> list[ComponentSmoother]:
         settings, interval = self.settings, self.interval
         covariance = np.zeros((6, 6))
         if self._columns is not None:
@@ -571,7 +576,8 @@ class LiveForce:
         return columns.platform.turn_rate(rows[:, n : n + used.size] * used)
 
 
-def _natural_frequencies(dynamics: Dynamics | CoupledDynamics) -> list[float]:
-    if isinstance(dynamics, Dynamics):
-        return [dynamics.natural_frequency]
-    return [mode.natural_frequency for mode in dynamics.modes]
+def _block(dynamics: BalanceDynamics) -> BalanceDynamics:
+    """Dynamics whose forces follow each other together."""
+    if len(dynamics.blocks) > 1:
+        raise ValueError(f"{', '.join(dynamics.components)} are not coupled: each needs a live force of its own")
+    return dynamics

@@ -41,6 +41,12 @@ FEWEST_ORDINATES: Final = 64
 BLOCKS: Final = 16
 """Parts of a record whose powers are compared."""
 
+NARROW: Final = 0.1
+"""Distance from the highest level of a noise, over its frequency, at which it is asked whether that is a resonance."""
+
+STANDS_OUT: Final = 3.0
+"""Density there, over that on either side, from which on it is: an edge of a band has its level on one side."""
+
 LASTING: Final = 0.5
 """Power beyond white noise of the middlemost part over the mean of all, below which it is there only for a while."""
 
@@ -120,13 +126,25 @@ def with_floor(reading: Observation, *, left: Array) -> tuple[Observation, Floor
         left, first=rising, interval=reading.interval, noise=np.sqrt(starts[0] / reading.interval)
     ):
         reading = replace(reading, rising=True)
-    colored = [one for one in found if one.density.max() > DIFFERENT * one.density.min()]
+    colored = [
+        one
+        for one in found
+        if one.density.max() > DIFFERENT * one.density.min() and not _rings(one, periodogram.frequency)
+    ]
     floor = _likeliest(reading, periodogram, colored, left=left, given=given) if colored else None
     if floor is None or not lasts(
         left, first=floor.first, last=floor.last, interval=reading.interval, noise=floor.white
     ):
         return reading, None
     return replace(reading, color=floor.color, noise=floor.white), floor
+
+
+def _rings(found: NoiseLevels, frequency: Array) -> bool:
+    """Whether the highest level stands out of those beside it as narrowly as a mode does: no electronics is so."""
+    place = int(np.argmax(found.density))
+    centre, highest = float(frequency[place]), float(found.density[place])
+    beside = np.interp(centre * np.array([1 - NARROW, 1 + NARROW]), frequency, found.density)
+    return bool(highest > STANDS_OUT * float(beside.max()))
 
 
 def _likeliest(

@@ -19,7 +19,7 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.dynamics.inertial_parameters import NUMBERS, inertial_loads, mass_basis
+from aerobalance.dynamics.rigid_body import NUMBERS, inertial_loads, mass_basis
 from aerobalance.identification.base_excitation.shaking_record import ShakeRecord
 from aerobalance.identification.coupled.free_response import Complex
 from aerobalance.identification.levenberg_marquardt import DampedStep, Settings, levenberg_marquardt

@@ -9,8 +9,8 @@ from typing import Final
 import numpy as np
 from scipy.linalg import null_space
 
-from aerobalance.dynamics.coupled import CoupledDynamics, RigidMass
-from aerobalance.dynamics.inertial_parameters import mass_basis, rigid_of
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.rigid_body import RigidMass, mass_basis, rigid_of
 from aerobalance.identification.base_excitation.shaking_fit import (
     DELAY,
     MATRICES,

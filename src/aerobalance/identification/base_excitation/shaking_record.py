@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.dynamics.inertial_parameters import NUMBERS, inertial_loads, turning_basis
+from aerobalance.dynamics.rigid_body import NUMBERS, inertial_loads, turning_basis
 from aerobalance.identification.base_excitation.shaking_ground import EXACT, GroundReadings
 from aerobalance.identification.base_excitation.shaking_window import Window
 from aerobalance.identification.base_excitation.spectra import longest_whole

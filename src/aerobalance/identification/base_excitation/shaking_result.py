@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.inertial_parameters import inertial_loads
+from aerobalance.dynamics.rigid_body import inertial_loads
 from aerobalance.identification.base_excitation.shaking_fit import (
     DELAY,
     MATRICES,

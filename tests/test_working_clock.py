@@ -1,0 +1,280 @@
+"""Long records that are worked out on a slower clock: the force of their own clock, steps and ends included."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aerobalance.app.cli import main
+from aerobalance.app.commands.shared import opened
+from aerobalance.dynamics.independent import dynamics_of
+from aerobalance.dynamics.modal import Mode
+from aerobalance.estimation import working_clock
+from aerobalance.estimation.force import ForceWork
+from aerobalance.estimation.force_parts import Division
+from aerobalance.estimation.forces import ForceSettings
+from aerobalance.io import read, write_recording
+from aerobalance.io.dynamics_file import write_dynamics
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.errors import DataQualityWarning
+from aerobalance.recording.recording import Recording
+from aerobalance.uncertainty.budget import component_budget, scalars, spectrum
+from aerobalance.uncertainty.mean_loads import mean_loads
+from helpers.cable_cut import T128
+from helpers.coupled_pair import SIZE, band, pair
+from seeds import trials
+
+RATE, SAMPLES, NOISE = 12_800.0, 80_003, 2.0
+FACTOR = 16
+"""How much slower the clock is: of 800 Hz the filter leaves 260 Hz as they are, three times 66 Hz and more."""
+
+SHORT = Division(readings=1 << 13)
+"""Parts of 4096 samples of the slower clock, which take 65536 of the record: two of them here."""
+
+STEPS = ((1.2345678, 400.0, 0.0), (4.4800012, -250.0, 0.0))
+"""Instant [s], height [N] and duration [s]; parts meet beside the second."""
+
+UNSURE = replace(T128, covariance=np.diag((np.array([2e-4, 2e-4, 5e-2, 0]) * T128.values) ** 2))
+
+
+def force_and_load(rng: np.random.Generator, *, steps=STEPS) -> tuple[np.ndarray, np.ndarray]:
+    """A force of 20 N rms to 100 Hz with steps, and what the balance reads of it, shape (n,) each [N]."""
+    time, frequency = np.arange(SAMPLES) / RATE, np.fft.rfftfreq(SAMPLES, 1 / RATE)
+    force = np.fft.irfft(np.fft.rfft(rng.normal(size=SAMPLES)) * ((frequency > 0) & (frequency < 100)), SAMPLES)
+    force *= 20.0 / force.std()
+    load = np.fft.irfft(np.fft.rfft(force) * T128.response(frequency), SAMPLES)
+    for instant, height, duration in steps:
+        load += height * T128.step_response(time - instant, duration=duration)
+        force += height * (np.clip((time - instant) / duration, 0, 1) if duration else time >= instant)
+    return force, load + NOISE * rng.normal(size=SAMPLES)
+
+
+def recording(load: np.ndarray, **more) -> Recording:
+    return Recording.from_arrays(np.arange(load.size) / RATE, {"AF": load, **more}, name="fast")
+
+
+def work(record, dynamics=T128, **settings) -> ForceWork:
+    return ForceWork(record, dynamics_of(dynamics), division=SHORT, settings=ForceSettings(**settings))
+
+
+def on_own_clock(record, dynamics=T128):
+    """The force of a record that keeps its clock, in one part."""
+    return ForceWork(record, dynamics_of(dynamics)).force()
+
+
+def rms(values) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")  # of the ramp, on either clock
+def test_the_force_is_that_of_the_own_clock(rng) -> None:
+    truth, load = force_and_load(rng)
+    record = recording(load)
+    slow = work(record)
+    assert slow.working.every > 4
+    found, whole = slow.force().only, on_own_clock(record).only
+    assert found.values.size == SAMPLES
+    # away from the steps, whose sizes each finds within its uncertainty
+    calm = np.ones(SAMPLES, dtype=bool)
+    for instant, _, duration in STEPS:
+        calm[int((instant - 0.01) * RATE) : int((instant + duration + 0.05) * RATE)] = False
+    apart = (found.values - whole.values) / whole.uncertainty
+    # each has learned its prior from other readings: an error of a tenth of u beside u is half a percent of it
+    assert rms(apart[calm]) < 0.15
+    assert rms(found.uncertainty[calm]) == pytest.approx(rms(whole.uncertainty[calm]), rel=0.05)
+    error = (found.values - truth)[calm]
+    assert rms(error / found.uncertainty[calm]) == pytest.approx(1.0, abs=0.15)
+    # the noise is that of a reading of the record; 110,000 of them tell it to 0.3 %, learned with the force to 1 %
+    assert found.noise == pytest.approx(NOISE, rel=0.02)
+    assert found.bandwidth == pytest.approx(whole.bandwidth, rel=0.05)
+
+
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+def test_steps_are_found_between_the_samples_of_the_record(rng) -> None:
+    truth, load = force_and_load(rng)
+    found = work(recording(load)).force().only
+    assert len(found.steps) == len(STEPS)
+    for step, (instant, height, duration) in zip(found.steps, STEPS, strict=True):
+        assert abs(step.instant - instant) < 4 * step.instant_uncertainty + 0.05 / RATE
+        assert step.instant_uncertainty < 0.5 / RATE or duration  # a thirtieth of a sample of the slower clock
+        assert abs(step.height - height) < 5 * step.height_uncertainty
+        if not duration:  # the edge is between the same samples of the record
+            place = int(np.ceil(instant * RATE))
+            near = slice(place - 40, place + 40)
+            off = np.abs((found.values - truth)[near]) > 5 * found.uncertainty[near]
+            assert not off.any()
+
+
+def test_budget_and_spectrum_are_those_of_the_own_clock(rng) -> None:
+    _, load = force_and_load(rng, steps=())
+    record = recording(load)
+    slow, whole = work(record, UNSURE).force(), on_own_clock(record, UNSURE)
+    ours, theirs = ({row.name: row for row in component_budget(one.only)} for one in (slow, whole))
+    for name in ("noise of the readings", "mass, stiffness, damping, delay"):
+        assert ours[name].rms == pytest.approx(theirs[name].rms, rel=0.05)
+        mean, other = (one[name].scalars["mean"] for one in (ours, theirs))
+        assert mean == pytest.approx(other, rel=0.1, abs=0.02 * theirs[name].rms)
+    # largest and least lie between the samples of the slower clock
+    for name in ("largest", "least"):
+        end, other = (next(one for one in scalars(each.only) if one.name == name) for each in (slow, whole))
+        assert end.value == pytest.approx(other.value, abs=0.3 * other.u)
+        assert end.u == pytest.approx(other.u, rel=0.1)
+    seen, usual = (spectrum(one.only, rate=RATE) for one in (slow, whole))
+    density = np.interp(seen.frequency, usual.frequency, usual.density)
+    inside = (seen.frequency > 10) & (seen.frequency < 90)
+    # segments of other lengths weigh the samples otherwise: the power of 80 Hz in 6 s is known to 1 / sqrt(2 * 80 * 6)
+    assert float(np.mean(seen.density[inside])) == pytest.approx(float(np.mean(density[inside])), rel=0.1)
+    one, other = (mean_loads(each) for each in (slow, whole))
+    assert one.values == pytest.approx(other.values, abs=0.1)
+    for kind in ("common", "run"):
+        ours, theirs = (np.sqrt(np.diag(getattr(each.errors, kind))) for each in (one, other))
+        assert ours == pytest.approx(theirs, rel=0.1, abs=1e-3)
+
+
+def test_coupled_components_with_their_weight(rng) -> None:
+    dynamics, count, rate = pair(), 120_000, 16_000.0
+    force = 0.03 * SIZE * band(rng, 250, count=count, rate=rate, columns=2)
+    pitch = np.full(count, 0.1)
+    weight = dynamics.mass.weight(pitch)[:, [0, 1]]
+    load = dynamics.load_felt(force + weight, interval=1 / rate) + 1e-4 * SIZE * rng.normal(size=(count, 2))
+    channels = {name: Channel(name, load[:, i], unit) for i, (name, unit) in enumerate((("NF", "N"), ("PM", "N*m")))}
+    channels["pitch"] = Channel("pitch", pitch, "rad")
+    record = Recording.from_columns(np.arange(count) / rate, channels, name="pair")
+    slow = work(record, dynamics)
+    assert slow.working.every > 4
+    found, whole = slow.force(), on_own_clock(record, dynamics)
+    for place, name in enumerate(("NF", "PM")):
+        apart = (found[name].values - whole[name].values) / whole[name].uncertainty
+        inside = slice(count // 20, -count // 20)
+        assert rms(apart[inside]) < 0.15
+        error = (found[name].values - force[:, place])[inside]
+        # the forces of the dynamics' errors are the same all along: one draw, so up to three times
+        assert rms(error / found[name].uncertainty[inside]) < 3.0
+        assert rms(found[name].uncertainty[inside]) == pytest.approx(rms(whole[name].uncertainty[inside]), rel=0.1)
+
+
+def test_the_ends_are_no_worse(rng) -> None:
+    """The first and last 20 ms of records: hardly more off than on their own clock, and as unsure as they say."""
+    ours, theirs, stated = [], [], []
+    near = int(0.02 * RATE)
+    for _ in range(trials(3, 12)):
+        truth, load = force_and_load(rng, steps=())
+        record = recording(load)
+        found, whole = work(record).force().only, on_own_clock(record).only
+        for end in (slice(0, near), slice(-near, None)):
+            ours.append((found.values - truth)[end])
+            theirs.append((whole.values - truth)[end])
+            stated.append(found.uncertainty[end])
+    # ends of records with some two independent errors each: three times their scatter
+    chance = 3 / np.sqrt(2 * 2 * len(ours))
+    assert rms(ours) < (1 + chance) * rms(stated)
+    # the errors of both are of the same readings; what lies beyond the last sample of the slower clock is predicted.
+    # Over 24 ends that makes 1.17 times the error, and single ones scatter by a third
+    assert rms(ours) < (1.17 + 3 * 0.33 / np.sqrt(len(ours))) * rms(theirs)
+
+
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+def test_a_record_that_contradicts_its_dynamics_says_so(rng) -> None:
+    """A mode of 3 % at 153 Hz that the dynamics lack, under a load to 200 Hz, may look like a color of the noise."""
+    whole = T128.with_modes(Mode(153.0, 0.01, 0.03))
+    frequency = np.fft.rfftfreq(SAMPLES, 1 / RATE)
+    for _ in range(trials(2, 8)):
+        lines = np.fft.rfft(rng.normal(size=SAMPLES)) * ((frequency > 0) & (frequency < 200))
+        force = np.fft.irfft(lines, SAMPLES)
+        size = 50.0 / force.std()
+        load = size * np.fft.irfft(lines * whole.response(frequency), SAMPLES) + NOISE * rng.normal(size=SAMPLES)
+        slow = work(recording(load))
+        assert slow.working.every > 1
+        found = slow.force()
+        assert "missing mode" in {doubt.kind for doubt in found.doubts}
+        assert str(found.verdict) != "fit for use"
+        error = found.only.values - size * force
+        assert rms(error) < 2 * rms(found.only.uncertainty)
+
+
+@pytest.mark.parametrize(
+    ("fault", "settings"),
+    [
+        ("missing", {}),
+        ("wild", {}),
+        ("clipped", {}),
+        ("fast", {}),
+        ("a burst", {}),
+        ("", {"keep_outliers": True}),
+        ("", {"bandwidth": 100.0}),
+        ("", {"align": True}),
+    ],
+)
+def test_what_keeps_its_clock(fault: str, settings: dict, rng) -> None:
+    _, load = force_and_load(rng, steps=())
+    if fault == "missing":
+        load[50_000:50_003] = np.nan
+    if fault == "wild":
+        load[60_001] += 100 * np.abs(load).max()
+    if fault == "clipped":
+        load = np.clip(load, -0.6 * np.abs(load).max(), 0.6 * np.abs(load).max())
+    if fault == "fast":  # a load of twice the noise in a tenth of the band, as one at the resonance of a sting
+        time = np.arange(SAMPLES) / RATE
+        load += 1.0 * np.sin(2 * np.pi * 1500 * time)
+    if fault == "a burst":  # 30 ms of it
+        time = np.arange(400) / RATE
+        load[70_000:70_400] += 10 * np.sin(2 * np.pi * 1500 * time) * np.hanning(400)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)
+        assert work(recording(load), **settings).working.every == 1
+
+
+def test_short_records_keep_their_clock(rng) -> None:
+    _, load = force_and_load(rng, steps=())
+    assert work(recording(load[:8000])).working.every == 1
+
+
+def test_noise_alone_is_no_reason_to_keep_it(rng) -> None:
+    """Of white noise and of a balance at rest: one record in thousands of years would seem to have a load above."""
+    for _ in range(20):
+        assert work(recording(NOISE * rng.normal(size=SAMPLES))).working.every == FACTOR
+
+
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+def test_the_command_writes_every_sample_of_the_record(rng, tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr("aerobalance.estimation.force_parts.DIVISION", SHORT)
+    monkeypatch.setattr("aerobalance.estimation.force.DIVISION", SHORT)
+    _, load = force_and_load(rng, steps=())
+    record = recording(load)
+    write_recording(tmp_path / "run.h5", record)
+    write_dynamics(tmp_path / "dynamics.json", {"AF": T128})
+    out, page = tmp_path / "force.h5", tmp_path / "force.html"
+    words = ["force", str(tmp_path / "run.h5"), "--dynamics", str(tmp_path / "dynamics.json"), "-o", str(out)]
+    assert main([*words, "--report", str(page)]) == 0
+    found = read(out)
+    np.testing.assert_allclose(found.time, record.time, rtol=0, atol=1e-9)
+    with opened(tmp_path / "run.h5") as file:
+        whole = work(file).force().only
+    np.testing.assert_array_equal(found.channel("AF").values, whole.values)
+    np.testing.assert_array_equal(found.channel("u_AF").values, whole.uncertainty)
+    assert page.stat().st_size > 10_000
+
+
+def test_parts_of_a_file_are_those_of_memory(rng, tmp_path: Path) -> None:
+    """However a record comes, the same numbers: the pieces that it is read in follow from its length."""
+    _, load = force_and_load(rng, steps=())
+    record = recording(load)
+
+    class Counted:
+        """A record that tells what was asked of it."""
+
+        name, samples, rate, start, epoch = record.name, record.samples, record.rate, record.start, None
+        asked: list[tuple[int, int]] = []  # noqa: RUF012 - of this test
+
+        def part(self, begin: int, end: int) -> Recording:
+            self.asked.append((begin, end))
+            return record.part(begin, end)
+
+    counted = Counted()
+    found = ForceWork(counted, dynamics_of(T128), division=SHORT).force().only
+    np.testing.assert_array_equal(found.values, work(record).force().only.values)
+    assert max(end - begin for begin, end in counted.asked) < working_clock.SETTINGS.at_once + 4 * 24 * FACTOR + 1
