@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import re
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -32,16 +33,24 @@ SOURCE = Path(aerobalance.__file__).parent
 OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*[a-z]")
 
 
+def naming(what: re.Pattern[str]) -> list[Path]:
+    """Modules with a text in them: all others need not be taken apart."""
+    return [path for path in SOURCE.rglob("*.py") if what.search(path.read_text())]
+
+
+@cache
+def nodes(path: Path) -> list[ast.AST]:
+    """Every node of a module."""
+    return list(ast.walk(ast.parse(path.read_text())))
+
+
 def texts(path: Path) -> list[str]:
     """Every string of a module but its docstrings, the parts of formatted ones joined."""
-    tree = ast.parse(path.read_text())
     documented = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
-    said = {
-        id(node.body[0].value) for node in ast.walk(tree) if isinstance(node, documented) and _begins_with_text(node)
-    }
+    said = {id(node.body[0].value) for node in nodes(path) if isinstance(node, documented) and _begins_with_text(node)}
     return [
         node.value
-        for node in ast.walk(tree)
+        for node in nodes(path)
         if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in said
     ]
 
@@ -65,22 +74,20 @@ def options() -> set[str]:
 def test_every_option_that_a_message_names_is_there():
     known = options()
     assert "--leave-out" in known  # so that the commands were found
-    named = {
-        option: path.name for path in SOURCE.rglob("*.py") for text in texts(path) for option in OPTION.findall(text)
-    }
+    named = {option: path.name for path in naming(OPTION) for text in texts(path) for option in OPTION.findall(text)}
     assert len(named) > 20
     assert {option: module for option, module in named.items() if option not in known} == {}
 
 
 def test_the_library_names_no_options():
-    library = [path for path in SOURCE.rglob("*.py") if not path.is_relative_to(SOURCE / "app")]
+    library = [path for path in naming(OPTION) if not path.is_relative_to(SOURCE / "app")]
     whole = re.compile(r"`aerobalance [^`]*`")  # a command to be typed as it stands
     named = {path.name: OPTION.findall(whole.sub("", text)) for path in library for text in texts(path)}
     assert {name: options for name, options in named.items() if options} == {}
 
 
 def test_every_argument_that_a_message_names_has_an_option():
-    calls = [node for path in SOURCE.rglob("*.py") for node in ast.walk(ast.parse(path.read_text()))]
+    calls = [node for path in naming(re.compile(r"\bargument\(")) for node in nodes(path)]
     named = {
         ast.literal_eval(node.args[0])
         for node in calls

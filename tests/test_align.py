@@ -38,7 +38,7 @@ def tried(name: str, seed: int, *, align: bool) -> tuple[Force, dict[str, float]
         "accelerometer gain 10 %, 0-60 Hz",
     ],
 )
-@pytest.mark.soak(first=2)
+@pytest.mark.soak(first=1)
 def test_a_fault_that_the_load_shows_clearly_leaves_nothing(name):
     _, before = tried(name, 0, align=False)
     force, after = tried(name, 0, align=True)
@@ -66,6 +66,7 @@ def test_what_is_not_known_of_an_alignment_counts(name):
 
 
 @pytest.mark.parametrize("name", ["pitch 20 ms late, 0-60 Hz", "pitch 20 ms late, step"])
+@pytest.mark.soak(first=1)
 def test_a_late_inclinometer_is_named_below_4_hz(name):
     force, found = tried(name, 0, align=False)
     doubt = max(force.doubts, key=lambda one: one.effect or 0.0)

@@ -251,9 +251,9 @@ def cover_of_errors(model: str, rng: np.random.Generator, *, count: int) -> Arra
 
 @pytest.mark.parametrize(
     ("model", "fixed", "soak"),
-    [("linear", 40, 100), ("abs", 40, 100), pytest.param("96", 20, 40, marks=pytest.mark.slow)],
+    [("abs", 30, 100), ("linear", 30, 100), pytest.param("96", 20, 40, marks=pytest.mark.slow)],
 )
-@pytest.mark.soak(first=2)
+@pytest.mark.soak(first=1)
 def test_covariance_of_loads_against_monte_carlo(model: str, fixed: int, soak: int, rng) -> None:
     count = trials(fixed, soak)
     ratio = cover_of_errors(model, rng, count=count)

@@ -14,6 +14,7 @@ from aerobalance.balance.calibration.fit import calibrate
 from aerobalance.balance.schedule import Schedule
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, random_balance
+from seeds import trials
 
 NOISE = 0.7e-3
 Maker = Callable[[np.random.Generator], Schedule]
@@ -221,7 +222,7 @@ def test_few_points_are_refused(rng) -> None:
 
 @both
 def test_healthy_schedules_raise_nothing(make: Maker, rng) -> None:
-    for _ in range(10):
+    for _ in range(trials(5, 10)):
         assert problem(make(rng), model="96") == ""
 
 

@@ -213,10 +213,24 @@ def test_provenance_names_file_digest_and_version(page):
     assert f"aerobalance {__version__}" in page.text
 
 
-def test_what_is_not_known_is_said(page, tmp_path):
-    schedule = replace(page.schedule, natural_zeros=np.zeros((0, 6)), temperature=None, assumptions=("units are SI",))
+@pytest.fixture(scope="module")
+def lacking(page, tmp_path_factory) -> tuple[Calibration, str]:
+    """A calibration that knows little, and its page: no temperature, no natural zeros, one component at a time."""
+    alone = page.schedule.series == 0
+    keep = alone & page.schedule.fitted
+    schedule = replace(
+        page.schedule, loads=page.schedule.loads[keep], outputs=page.schedule.outputs[keep],
+        series=page.schedule.series[keep], points=tuple(np.array(page.schedule.points)[keep]),
+        confirmation=page.schedule.confirmation[keep], temperature=None, natural_zeros=np.zeros((0, 6)),
+        assumptions=("units are SI",),
+    )  # fmt: skip
     calibration = calibrate(schedule, model="27")
-    text = page.write(tmp_path / "r.html", calibration=calibration, quality=assess(calibration))
+    path = tmp_path_factory.mktemp("lacking") / "r.html"
+    return calibration, page.write(path, calibration=calibration, quality=assess(calibration))
+
+
+def test_what_is_not_known_is_said(page, lacking):
+    calibration, text = lacking
     assert "Against temperature" not in text
     assert "Not known: the file has no natural zeros" in text
     assert "units are SI" in text
@@ -224,16 +238,8 @@ def test_what_is_not_known_is_said(page, tmp_path):
         residual_panels(calibration, page.quality, "temperature")
 
 
-def test_terms_not_identified_are_named_with_the_reason(page, tmp_path):
-    alone = page.schedule.series == 0  # one component at a time: no product of two can be told
-    keep = alone & page.schedule.fitted
-    schedule = replace(
-        page.schedule, loads=page.schedule.loads[keep], outputs=page.schedule.outputs[keep],
-        series=page.schedule.series[keep], points=tuple(np.array(page.schedule.points)[keep]),
-        confirmation=page.schedule.confirmation[keep], temperature=None, natural_zeros=np.zeros((0, 6)),
-    )  # fmt: skip
-    calibration = calibrate(schedule, model="27")
-    text = page.write(tmp_path / "r.html", calibration=calibration, quality=assess(calibration))
+def test_terms_not_identified_are_named_with_the_reason(lacking):
+    calibration, text = lacking
     count = len(calibration.unidentified)
     assert count >= 15  # the products of six components two by two
     for label in calibration.unidentified_labels:

@@ -252,20 +252,24 @@ def test_a_late_failure_says_what_was_written(here):
 # --- pipes
 
 
-def test_dash_is_standard_input_and_output(here):
-    program = [sys.executable, "-m", "aerobalance.app.cli"]
-    given = Path("run.csv").read_bytes()
-    done = subprocess.run([*program, "convert", "-", "-o", "-"], input=given, capture_output=True, check=True)
+def test_dash_is_standard_input_and_output(here, monkeypatch, capsysbinary):
+    command = [sys.executable, "-m", "aerobalance.app.cli", "convert", "-", "-o", "-"]
+    done = subprocess.run(command, input=Path("run.csv").read_bytes(), capture_output=True, check=True)
     assert np.array_equal(np.loadtxt(io.BytesIO(done.stdout), delimiter=",", skiprows=1).T, columns())
     assert b"400 samples of AF, pitch" in done.stderr
-    points = Path("points.csv").read_bytes()
-    found = subprocess.run([*program, "weigh", "-", "-o", "-"], input=points, capture_output=True, check=True)
-    assert json.loads(found.stdout)["kind"] == "mass"
-    assert b"mass" in found.stderr
-    wrong = subprocess.run([*program, "info", "-"], input=b"no,table\n1,x\n", capture_output=True, check=False)
-    assert wrong.returncode == 2
-    assert b"standard-input" not in wrong.stderr
-    assert b"\nerror: standard input: " in wrong.stderr
+
+    def piped(content, *words):
+        monkeypatch.setattr(sys, "stdin", io.TextIOWrapper(io.BytesIO(content)))
+        code = main([*words])
+        return code, *capsysbinary.readouterr()
+
+    code, out, err = piped(Path("points.csv").read_bytes(), "weigh", "-", "-o", "-")
+    assert (code, json.loads(out)["kind"]) == (0, "mass")
+    assert b"mass" in err
+    code, _, err = piped(b"no,table\n1,x\n", "info", "-")
+    assert code == 2
+    assert b"standard-input" not in err
+    assert b"\nerror: standard input: " in err
     assert sorted(path.name for path in here.iterdir()) == ["dynamics.json", "points.csv", "run.csv"]
 
 

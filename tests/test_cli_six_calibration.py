@@ -48,7 +48,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Found:
     for name in ("balance", "other"):
         wrong = known.coefficients + LEFT * rng.normal(size=known.coefficients.shape)
         write_balance(folder.path / f"{name}.json", replace(known, coefficients=wrong), found={})
-    folder.record("zero", still(balance, 0.0, 0.0), 0.1)
+    folder.record("zero", replace(still(balance, 0.0, 0.0), rate=10_000.0), 0.1)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)
         weighed(folder, balance, BalanceFiles.of(folder.path / "balance.json"))
@@ -59,7 +59,7 @@ def found(tmp_path_factory: pytest.TempPathFactory) -> Found:
         rig = replace(still(balance, 0.0, 0.0), releases=(let_go,), rate=10_000.0)
         releases.append(str(folder.record(f"release_{name}", rig, 0.4)[0]))
     gusts = broadband(rng, Band(20, 400), rms=0.05 * balance.half_range, period=0.5)
-    folder.record("run", replace(still(balance, 0.0, 0.0), applied=gusts), 0.1)
+    folder.record("run", replace(still(balance, 0.0, 0.0), applied=gusts, rate=10_000.0), 0.1)
     account = identify(folder.path, releases, "--balance", str(folder.path / "balance.json"))
     return Found(folder.path, balance, releases, account)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +20,7 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError
 from aerobalance.recording.gravity import Attitudes
 from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, random_balance
+from seeds import new_seed
 
 GRAVITY = 9.80665
 MASS = 60.0
@@ -26,16 +28,36 @@ NOISE = 2e-4
 STIFFNESS, DAMPING = 3.0e7, 800.0
 
 
-@pytest.fixture
-def truth(seed: int) -> BalanceMatrix:
-    return random_balance(seed)
+@pytest.fixture(scope="module")
+def truth() -> BalanceMatrix:
+    return random_balance(new_seed())
+
+
+@pytest.fixture(scope="module")
+def stand(truth: BalanceMatrix, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Folder of a schedule, and of the balance that `calibrate` finds in it."""
+    folder = tmp_path_factory.mktemp("stand")
+    schedule = folder / "schedule.csv"
+    write_balfit_schedule(schedule, CalibrationStand(truth, confirmation=0.05).run(new_seed()).schedule)
+    places = ["--distances", "12 12 10 10 cm"]
+    for name, options in (("balance.json", []), ("balance_of_places.json", places)):
+        assert main(["calibrate", str(schedule), "--model", "96", "-o", str(folder / name), *options, "--json"]) == 0
+    return folder
 
 
 @pytest.fixture
-def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, truth: BalanceMatrix, seed: int) -> Path:
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stand: Path) -> Path:
+    """A folder with the schedule alone."""
     monkeypatch.chdir(tmp_path)
-    write_balfit_schedule(Path("schedule.csv"), CalibrationStand(truth, confirmation=0.05).run(seed).schedule)
+    shutil.copy(stand / "schedule.csv", "schedule.csv")
     return tmp_path
+
+
+@pytest.fixture
+def calibrated(here: Path, stand: Path) -> Path:
+    """A folder with the schedule and its balance."""
+    shutil.copy(stand / "balance.json", "balance.json")
+    return here
 
 
 def run(capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> dict[str, object]:
@@ -159,9 +181,8 @@ def test_summary_for_people(here, capsys):
     assert captured.err.startswith("warning: ")
 
 
-def test_loads_weigh_and_force_from_gauge_outputs(here, capsys, truth, rng):
-    places = ["--distances", "12 12 10 10 cm"]
-    run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json", *places)
+def test_loads_weigh_and_force_from_gauge_outputs(here, stand, capsys, truth, rng):
+    shutil.copy(stand / "balance_of_places.json", "balance.json")
     count, rate = 800, 400.0
     time = np.arange(count) / rate
     names = []
@@ -192,8 +213,7 @@ def test_loads_weigh_and_force_from_gauge_outputs(here, capsys, truth, rng):
         assert abs(entry["mean"] - expected) < 4 * entry["u_calibration_rms"], name
 
 
-def test_a_run_without_pitch_counts_from_the_attitude_of_its_zero(here, capsys, truth, rng):
-    run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json")
+def test_a_run_without_pitch_counts_from_the_attitude_of_its_zero(calibrated, capsys, truth, rng):
     time = np.arange(1200) / 1000.0
     up = np.full(time.size, np.radians(9.0))
     applied = 200 * np.sin(2 * np.pi * 3 * time)
@@ -211,9 +231,8 @@ def test_a_run_without_pitch_counts_from_the_attitude_of_its_zero(here, capsys, 
     assert np.sqrt(np.mean(table["u_AF_N"] ** 2)) < 0.1 * MASS * GRAVITY * np.sin(up[0])
 
 
-def test_loads_of_a_force_balance_in_its_own_form(here, capsys, truth, rng):
+def test_loads_of_a_force_balance_in_its_own_form(calibrated, capsys, truth, rng):
     """Without distances, and with wind-off loads taken off in that form."""
-    run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json")
     time = np.arange(400) / 400.0
     level = np.zeros(time.size)
     off = gauges(truth, weight(level), rng)
@@ -230,8 +249,7 @@ def test_loads_of_a_force_balance_in_its_own_form(here, capsys, truth, rng):
 
 
 @pytest.mark.parametrize("at_zero", [4.0, 9.0])
-def test_a_wrong_mass_is_wrong_in_a_zero_read_with_the_model_on(here, capsys, truth, at_zero, rng):
-    run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json")
+def test_a_wrong_mass_is_wrong_in_a_zero_read_with_the_model_on(calibrated, capsys, truth, at_zero, rng):
     time = np.arange(1200) / 1000.0
     pitch, up = np.full((2, time.size), np.radians([[4.0], [at_zero]]))
     felt = weight(pitch)
@@ -259,8 +277,8 @@ def test_what_is_said_of_a_zero_needs_one(here, capsys):
     assert "go with --balance" in capsys.readouterr().err
 
 
-def test_weight_in_a_zero_adds_no_doubt_at_its_attitude(here, capsys, truth, rng):
-    run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json", "--distances", "12 12 10 10 cm")
+def test_weight_in_a_zero_adds_no_doubt_at_its_attitude(here, stand, capsys, truth, rng):
+    shutil.copy(stand / "balance_of_places.json", "balance.json")
     time = np.arange(400) / 400.0
     names, angles = [], np.radians([-12.0, -6, 0, 6, 12])
     for k, angle in enumerate(angles):
@@ -288,8 +306,7 @@ def test_weight_in_a_zero_adds_no_doubt_at_its_attitude(here, capsys, truth, rng
 
 
 @pytest.mark.parametrize("zero", ["natural", "with the model on, nose up", "with the model off", "off, as said"])
-def test_force_counts_gravity_once(here, capsys, truth, zero, rng):
-    run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json")
+def test_force_counts_gravity_once(calibrated, capsys, truth, zero, rng):
     dynamics = {"mass": {"value": MASS}, "stiffness": {"value": STIFFNESS}, "damping": {"value": DAMPING}}
     Path("dynamics.json").write_text(json.dumps({"components": {"AF": dynamics}}))
     count, rate = 1200, 1000.0
@@ -316,8 +333,7 @@ def test_force_counts_gravity_once(here, capsys, truth, zero, rng):
 
 
 @pytest.mark.parametrize("way", ["loads", "balance"])
-def test_compare_takes_gauge_outputs(here, capsys, truth, way, rng):
-    run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json")
+def test_compare_takes_gauge_outputs(calibrated, capsys, truth, way, rng):
     dynamics = {"mass": {"value": MASS}, "stiffness": {"value": STIFFNESS}, "damping": {"value": DAMPING}}
     Path("dynamics.json").write_text(json.dumps({"components": {"AF": dynamics}}))
     count, rate = 1200, 1000.0
@@ -331,12 +347,12 @@ def test_compare_takes_gauge_outputs(here, capsys, truth, way, rng):
     felt[:, 5] += applied
     write("run.csv", time, gauges(truth, felt, rng) | {"pitch [deg]": np.degrees(pitch)})
     balance = ["--balance", "balance.json", "--zero", "zero.csv"]
-    force = run(capsys, "force", "run.csv", "--dynamics", "dynamics.json", *balance, "-o", "force.csv")
     record = ["compare", "run.csv", "--dynamics", "dynamics.json", *(balance if way == "balance" else [])]
     if way == "loads":  # the record has gauge outputs alone, and a zero belongs to them
         assert "no channel AF" in run(capsys, *record, code=1)["error"]
         assert "--balance" in run(capsys, *record, "--zero", "zero.csv", code=2)["error"]
         return
+    force = run(capsys, "force", "run.csv", "--dynamics", "dynamics.json", *balance, "-o", "force.csv")
     account = run(capsys, *record, "--truth", "truth.csv", "-o", "compare.html")
     assert account["loads"]["zero"]["from"] == force["loads"]["zero"]["from"]
     page = Path("compare.html").read_text()
@@ -352,8 +368,7 @@ def test_compare_takes_gauge_outputs(here, capsys, truth, way, rng):
     assert rows["raw reading"]["rms"] < 0.01 * CAPACITIES[5]  # the weight of the zero put on again, and taken off
 
 
-def test_a_matrix_goes_to_the_text_layout_and_back(here, capsys, truth, seed):
-    run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "balance.json")
+def test_a_matrix_goes_to_the_text_layout_and_back(calibrated, capsys, truth, seed):
     run(capsys, "convert", "balance.json", "-o", "matrix.txt")
     text = Path("matrix.txt").read_text()
     assert "DATA_REDUCTION_MATRIX_IN_AMES_FORMAT" in text and "D0[TRANSPOSE(C1INV)]" in text
@@ -364,7 +379,7 @@ def test_a_matrix_goes_to_the_text_layout_and_back(here, capsys, truth, seed):
     assert np.allclose(before.outputs(loads), after.outputs(loads), atol=1e-12, rtol=0)  # 17 digits are printed
 
 
-def test_two_calibrations_are_compared(here, capsys, truth, seed):
+def test_two_calibrations_are_compared(calibrated, capsys, truth, seed):
     write_balfit_schedule(Path("later.csv"), CalibrationStand(truth).run(seed + 1).schedule)
     scale = truth.output_scale.copy()
     scale[5] *= 1.01
@@ -372,9 +387,8 @@ def test_two_calibrations_are_compared(here, capsys, truth, seed):
     write_balfit_schedule(Path("moved.csv"), moved)
     same = run(capsys, "compare-calibrations", "schedule.csv", "later.csv", "--model", "96")
     assert all(abs(entry["drift_percent"]) < 5 * entry["u_percent"] for entry in same["components"].values())
-    run(capsys, "calibrate", "schedule.csv", "--model", "96", "-o", "a.json")
-    run(capsys, "calibrate", "moved.csv", "--model", "96", "-o", "b.json")
-    drift = run(capsys, "compare-calibrations", "a.json", "b.json", "-o", "drift.json")["components"]["AF"]
+    run(capsys, "calibrate", "moved.csv", "--model", "96", "-o", "moved.json")
+    drift = run(capsys, "compare-calibrations", "balance.json", "moved.json", "-o", "drift.json")["components"]["AF"]
     assert abs(drift["drift_percent"] - 1) < 5 * drift["u_percent"]
     assert drift["significant"] or drift["u_percent"] > 0.3
     assert json.loads(Path("drift.json").read_text())["components"]["AF"] == drift
@@ -405,9 +419,8 @@ def test_wrong_calls_say_what_is_allowed(here, capsys, arguments, code, message)
 
 
 def test_loads_of_a_long_record_do_not_depend_on_its_parts(
-    here: Path, truth: BalanceMatrix, rng, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    calibrated: Path, truth: BalanceMatrix, rng, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run(capsys, "calibrate", "schedule.csv", "-o", "balance.json")
     count = 12_000
     time = np.arange(count) / 1000
     direct = 0.3 * CAPACITIES * np.sin(2 * np.pi * time[:, None] * np.linspace(1, 3, 6))

@@ -37,11 +37,11 @@ def _inverse_noise(balance: CoupledBalance, rate: float) -> tuple[Array, Array]:
 
 
 def _broadband(
-    balance: CoupledBalance, rng: np.random.Generator, duration: float = DURATION
+    balance: CoupledBalance, rng: np.random.Generator, duration: float = DURATION, rate: float = 25_000.0
 ) -> tuple[SixSimulation, float]:
     top = 1.2 * max(mode.natural_frequency for mode in balance.dynamics.modes)
     load = broadband(rng, Band(0, top), rms=0.1 * balance.half_range, period=2 * duration)
-    rig = SixComponentRig(balance, applied=load, output="loads")
+    rig = SixComponentRig(balance, applied=load, output="loads", rate=rate)
     return rig.run(duration, rng), top
 
 
@@ -138,7 +138,7 @@ def test_one_component_is_the_axial_way(rng) -> None:
 def test_parameters_are_felt_as_they_are_wrong(rng) -> None:
     """Matrices that are off by a draw from their covariance: the force is off by what the slopes say."""
     balance, dynamics = _drawn(rng)
-    simulation, _ = _broadband(balance, rng, duration=0.1)
+    simulation, _ = _broadband(balance, rng, duration=0.1, rate=12_500.0)
     size = 1e-4 * np.sqrt(np.outer(np.diag(dynamics.inertia), np.diag(dynamics.inertia)))
     unit = np.outer(balance.half_range, 1 / balance.half_range)
     sizes = np.concatenate([(size * unit).ravel(), np.zeros(36)])
@@ -167,6 +167,7 @@ def test_few_directions_of_the_parameters_are_as_uncertain_as_all(rng) -> None:
         applied=broadband(rng, band, rms=0.1 * balance.half_range, period=1.0),
         base=random_motion(rng, Band(2, 40), rms=np.ones(6), period=1.0),
         output="loads",
+        rate=12_500.0,
     )
     size = 1e-3 * np.sqrt(np.outer(np.diag(dynamics.inertia), np.diag(dynamics.inertia)))
     unit = np.outer(balance.half_range, 1 / balance.half_range)

@@ -41,6 +41,7 @@ def test_monte_carlo_agrees_with_the_first_order(options: dict[str, object], rng
 
 
 @pytest.mark.parametrize("at_zero", [0.1, -0.3])
+@pytest.mark.soak(first=1)
 def test_a_wrong_mass_is_wrong_in_the_zero_of_the_loads_too(at_zero: float, rng, seed) -> None:
     dynamics = pair()
     dynamics = replace(dynamics, covariance=np.zeros_like(dynamics.covariance))

@@ -20,11 +20,15 @@ EXAMPLES = Path(__file__).parents[1] / "examples"
 JUDGED = float(stats.t(20).isf(5e-6))
 
 
-def _ran(name: str, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Names of the script, and its results."""
+def _ran(name: str, seed: int, figure: Path | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Names of the script, and its results; some draw them."""
     script = runpy.run_path(str(EXAMPLES / f"{name}.py"))
-    main: Callable[[int], dict[str, Any]] = script["main"]
-    return script, main(seed)
+    main: Callable[..., dict[str, Any]] = script["main"]
+    if figure is None:
+        return script, main(seed)
+    results = main(seed, figure=figure)
+    assert figure.read_bytes().startswith(b"\x89PNG")
+    return script, results
 
 
 # in one record of five or so the estimator says that its very end is not explained; the mean leaves the ends out
@@ -83,8 +87,8 @@ def test_derivatives_of_a_free_oscillation(seed) -> None:
     assert 0.6 * least < results["PM_q"][1] < 1.8 * least
 
 
-def test_peak_of_a_parachute_that_opens(seed) -> None:
-    script, results = _ran("parachute", seed)
+def test_peak_of_a_parachute_that_opens(seed, tmp_path) -> None:
+    script, results = _ran("parachute", seed, tmp_path / "figure.png")
     value, u, truth, raw = results["peak"]
     assert abs(value - truth) < 5 * u
     # closed form: white noise through 1/G of one mode up to the bandwidth B, x = B/f0, has B/f_N (1 - 2/3 x^2 + x^4/5)
@@ -97,8 +101,8 @@ def test_peak_of_a_parachute_that_opens(seed) -> None:
     assert value == pytest.approx(truth, abs=5 * u)
 
 
-def test_plateau_of_a_short_run(seed) -> None:
-    script, results = _ran("short_duration", seed)
+def test_plateau_of_a_short_run(seed, tmp_path) -> None:
+    script, results = _ran("short_duration", seed, tmp_path / "figure.png")
     value, u, truth = results["mean"]
     assert abs(value - truth) < 6 * u
     # 0.05 % of the plateau, as for plateaus after a step
@@ -106,8 +110,8 @@ def test_plateau_of_a_short_run(seed) -> None:
     assert abs(results["low_pass"] - truth) > 10 * u
 
 
-def test_a_cut_is_timed_and_weighed(seed) -> None:
-    script, results = _ran("cable_cut", seed)
+def test_a_cut_is_timed_and_weighed(seed, tmp_path) -> None:
+    script, results = _ran("cable_cut", seed, tmp_path / "figure.png")
     for name in ("cut at [s]", "change [N]"):
         value, u, truth = results[name]
         assert abs(value - truth) < 5 * u, name
@@ -119,8 +123,8 @@ def test_a_cut_is_timed_and_weighed(seed) -> None:
 
 
 # of one record in thirty the forces leave open whether there is another mode; their uncertainty then counts it
-def test_a_plan_is_kept(seed) -> None:
-    script, results = _ran("plan_a_test", seed)
+def test_a_plan_is_kept(seed, tmp_path) -> None:
+    script, results = _ran("plan_a_test", seed, tmp_path / "figure.png")
     samples = script["DURATION"] * script["RATE"] + script["ENDS"].stop - script["ENDS"].start
     for bandwidth, (planned, stated, error, low_pass) in results.items():
         # the mean square of a band B over a time T scatters by 1/sqrt(B T) of it, its root by half; a band in which
@@ -129,9 +133,3 @@ def test_a_plan_is_kept(seed) -> None:
         assert abs(error / planned - 1) < 5 * scatter, bandwidth
         assert stated > 0.8 * planned, bandwidth
         assert low_pass > 50 * error, bandwidth
-
-
-@pytest.mark.parametrize("name", ["parachute", "short_duration", "cable_cut", "plan_a_test"])
-def test_a_figure_is_drawn(name: str, tmp_path: Path) -> None:
-    runpy.run_path(str(EXAMPLES / f"{name}.py"))["main"](figure=tmp_path / "figure.png")
-    assert (tmp_path / "figure.png").read_bytes().startswith(b"\x89PNG")

@@ -61,7 +61,7 @@ def windy(rng: np.random.Generator, *, rms: float, band: tuple[float, float]) ->
 )
 @pytest.mark.soak(first=1)
 def test_wind_is_in_the_uncertainty(rms, band, rng):
-    draws = trials(3, 40)
+    draws = trials(2, 40)
     scores, u_decay = [], []
     for _ in range(draws):
         recording = windy(rng, rms=rms, band=band)
@@ -239,6 +239,7 @@ def test_the_command_tells_doubts_as_fields(tmp_path, rng):
     assert all(doubt["text"] in " ".join(found["warnings"]) for doubt in found["doubts"])
 
 
+@pytest.mark.soak(first=0)
 def test_dynamics_of_a_gap_in_a_windy_decay(rng):
     recording = windy(rng, rms=50.0, band=(0.0, 200.0))
     load = recording.channel("AF").values.copy()

@@ -102,6 +102,7 @@ def within(square, degrees):
 # A rate of turn that is integrated lacks a straight line, and its w x (w x r) and w x I w a tenth of themselves (the
 # uncertainty that `Turning` gives it); left out they make up to 1.4e-5 of A and 1.2e-3 of D.
 @pytest.mark.parametrize(("rates", "heavy", "slow"), [(True, 1e-7, 1e-7 / 0.008), (False, 1.4e-6, 1.2e-4)])
+@pytest.mark.soak(first=1)
 def test_without_noise_it_is_exact(rates, heavy, slow, rng):
     found = identified(shaken(rng, noise=0.0, rates=rates))
     true = truth()

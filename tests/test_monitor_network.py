@@ -167,11 +167,12 @@ def at(program, path="/", cookie="", **more):
 class Command:
     """The command monitor as it is called, with a browser that writes down what it is called with."""
 
-    def __init__(self, folder, *options, **environment):
+    def __init__(self, folder, *options, first="pass", **environment):
         browser = folder / "browser.sh"
         browser.write_text(f'#!/bin/sh\necho "$1" > {folder}/seen.part\nmv {folder}/seen.part {folder}/seen\n')
         browser.chmod(0o700)
-        words = [sys.executable, "-u", "-m", "aerobalance.app.cli", "monitor", "--port", "0", "--folder", str(folder)]
+        program = f"{first}; from aerobalance.app.cli import run; run()"
+        words = [sys.executable, "-u", "-c", program, "monitor", "--port", "0", "--folder", str(folder)]
         variables = os.environ | {"BROWSER": f"{browser} %s"} | environment
         self.folder = folder
         self.process = subprocess.Popen(
@@ -283,7 +284,7 @@ def test_tls(tmp_path, capsys) -> None:
     subprocess.run(["openssl", "rsa", "-aes128", "-passout", "pass:x", "-in", key, "-out", tmp_path / "locked"], check=True, capture_output=True)  # fmt: skip  # noqa: E501
     assert main([*call, str(tmp_path / "locked")]) == 2
     assert "is locked by a password" in capsys.readouterr().err
-    with Command(tmp_path, "--no-browser", "--certificate", certificate, "--key", key) as running:
+    with Command(tmp_path, "--no-browser", "--certificate", certificate, "--key", key, first=SOON) as running:
         assert running.base.startswith("https://")
         trusted = ssl.create_default_context(cafile=certificate)
         trusted.check_hostname = False

@@ -185,7 +185,7 @@ def test_what_was_learned_does_not_hang_on_missing_readings(rng):
 
 def test_smoother_with_a_learned_spectrum_is_the_gaussian_process(rng):
     """The obvious solution: a dense Gaussian process with the true covariance, from the true spectrum's integrals."""
-    edge, level, noise, n = 120.0, 500.0, 2.0, 3200
+    edge, level, noise, n = 120.0, 500.0, 2.0, 2400
     reading = smooth_reading(rng, seconds=n / RATE, edge=edge, rms=level, noise=noise)
     lag = np.arange(n) / RATE
     frequency = (np.arange(24_000) + 0.5) * edge / 24_000

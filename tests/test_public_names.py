@@ -39,7 +39,7 @@ def as_arrays(recording: Recording, **units: str) -> Recording:
 def still(balance: CoupledBalance, pitch: float, roll: float, **more: object) -> SixComponentRig:
     angles = {"pitch": pitch, "roll": roll}
     held = {name: lambda t, angle=angle: np.full(t.shape, np.radians(angle)) for name, angle in angles.items()}
-    return SixComponentRig(balance, **held, **more)
+    return SixComponentRig(balance, rate=10_000.0, **held, **more)
 
 
 def calibrated(balance: CoupledBalance, rng: np.random.Generator) -> Calibration:

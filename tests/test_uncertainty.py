@@ -341,7 +341,7 @@ def test_errors_drawn_by_spectrum_and_ends_are_those_of_whole_records():
     assert fast.ends is not None
     lengths = [end.part.stop - end.part.start for end in fast.ends]
     assert max(lengths) > 10
-    draws = trials(60, 200)
+    draws = trials(40, 200)
     one, sizes = fast.draw(generator, draws)
     other, whole_sizes = replace(fast, ends=None).draw(generator, draws)
     size = np.sqrt(estimator.filter.smoothed_variance)

@@ -190,7 +190,7 @@ def test_uncertainties_are_right_by_monte_carlo(rng):
 def test_p_values_are_even_where_the_components_agree(rng):
     pitch, roll = grid(4)
     clean = read(pitch, roll)
-    found = [weigh_quietly(points(pitch, roll, noisy(rng, clean))) for _ in range(trials(30, 60))]
+    found = [weigh_quietly(points(pitch, roll, noisy(rng, clean))) for _ in range(trials(20, 60))]
     for name in ("mass_agreement", "centre_agreement"):
         tests = [getattr(one, name) for one in found]
         assert {test.degrees_of_freedom for test in tests} == {2 if name == "mass_agreement" else 3}

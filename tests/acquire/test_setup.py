@@ -242,11 +242,11 @@ ANY_DATA = st.dictionaries(keys, trees, max_size=6)
 
 
 def test_any_data_is_a_set_up_or_a_clear_error() -> None:
-    tried(check_any_data, ANY_DATA, 400)
+    tried(check_any_data, ANY_DATA, 100)
 
 
 def test_any_damage_to_a_set_up_is_a_clear_error_or_a_set_up() -> None:
-    tried(check_any_damage, st.data(), 300)
+    tried(check_any_damage, st.data(), 100)
 
 
 @pytest.mark.long

@@ -66,7 +66,7 @@ def test_the_record_button_answers_at_once(opened, operator) -> None:
 
 
 @pytest.mark.parametrize("text", ["abc", "nan", "-1", "0", "1e99", "Infinity", "1,2,3"])
-@pytest.mark.soak(first=3)
+@pytest.mark.soak(first=2)
 def test_a_length_that_is_none_is_not_sent(operator, text) -> None:
     view = operator.view
     asked = len(operator.asked)
@@ -101,7 +101,8 @@ def test_alarms_are_kept_until_they_are_acknowledged(operator) -> None:
     assert operator.said == []
 
 
-@pytest.mark.parametrize("size", [(1440, 900), (820, 1000), (390, 844)])
+@pytest.mark.parametrize("size", [(1440, 900), (390, 844), (820, 1000)])
+@pytest.mark.soak(first=2)
 def test_stop_record_and_alarm_are_always_in_sight(opened, size) -> None:
     browser, base, _ = opened
     page = Operator(browser, base, viewport={"width": size[0], "height": size[1]})

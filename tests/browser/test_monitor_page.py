@@ -52,7 +52,7 @@ def test_cut_record_identify_and_force(opened, operator) -> None:
     operator.until("Math.abs(window.aerobalance.force.force) < 20 && window.aerobalance.force.largest < 60")
     view.fill("#mark", "all quiet")
     view.press("#mark", "Enter")
-    time.sleep(6.0)
+    time.sleep(3.0)
     view.click("#stop")
     view.wait_for_selector("tr[data-name='cut.h5']")
     assert "no gaps" in view.inner_text("#record-line")
@@ -212,7 +212,8 @@ def test_keyboard_alone(operator) -> None:
     assert operator.said == []
 
 
-@pytest.mark.parametrize(("width", "scheme"), [(768, "dark"), (768, "light"), (1024, "light"), (1440, "dark")])
+@pytest.mark.parametrize(("width", "scheme"), [(768, "dark"), (1440, "light"), (768, "light"), (1024, "light")])
+@pytest.mark.soak(first=2)
 def test_fits_and_can_be_read(opened, width, scheme) -> None:
     browser, base, *_ = opened
     page = Operator(browser, base, viewport={"width": width, "height": 1024}, color_scheme=scheme)

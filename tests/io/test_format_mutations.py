@@ -1,7 +1,5 @@
 """Damaged files of every binary format: no crash, no hang, no memory beyond measure, and the place is said."""
 
-from pathlib import Path
-
 from helpers.foreign_files import FILES, wav
 from helpers.mutations import trial
 from seeds import trials
@@ -20,7 +18,7 @@ def told(words: list[str]) -> list[str]:
 def test_damaged_files_are_refused_or_read_within_bounds(tmp_path, seed) -> None:
     for given in FILES:
         given.make(tmp_path / given.name)
-    count = trials(40, 1000)
+    count = trials(20, 1000)
     found = trial([tmp_path / name for name in CHOSEN], tmp_path / "damaged", count=count, seed=seed)
     assert found.faults == []
     assert found.read + found.refused == count * len(CHOSEN)
@@ -33,9 +31,8 @@ def test_damaged_wav_is_refused_or_read_within_bounds(tmp_path, seed) -> None:
     wav(tmp_path / "a.wav")
     toml = tmp_path / "map.toml"
     toml.write_text('[channels.AF]\ncolumn = "channel 1"\nunit = "N"\n')
-    found = trial(
-        [Path(tmp_path / "a.wav")], tmp_path / "damaged", count=trials(120, 1000), seed=seed, channel_map=toml
-    )
+    count = trials(60, 1000)
+    found = trial([tmp_path / "a.wav"], tmp_path / "damaged", count=count, seed=seed, channel_map=toml)
     assert found.faults == []
-    assert found.read > 20
-    assert found.refused > 20
+    assert found.read > count / 6
+    assert found.refused > count / 6

@@ -15,6 +15,7 @@ from aerobalance.io import read
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_layout import BLOCK, BlockWriter, Provenance, StoredChannel
 from aerobalance.recording.errors import DataQualityWarning, ReadError
+from seeds import trials
 
 CHANNELS = (StoredChannel("AF", "N"), StoredChannel("NF", "N"))
 
@@ -211,8 +212,8 @@ def test_damaged_hdf5_raises_read_errors_only(tmp_path) -> None:
     path = recording(tmp_path / "a.h5")
     data = path.read_bytes()
     rng = np.random.default_rng(20)
-    refused = 0
-    for _ in range(300):
+    refused, count = 0, trials(100, 300)
+    for _ in range(count):
         damaged = bytearray(data)
         for at in rng.integers(0, min(len(data), 12_000), int(rng.integers(1, 6))):
             damaged[int(at)] = int(rng.integers(0, 256))
@@ -224,7 +225,7 @@ def test_damaged_hdf5_raises_read_errors_only(tmp_path) -> None:
             except ReadError as problem:
                 refused += 1
                 assert str(path) in str(problem)
-    assert refused > 100
+    assert refused > count / 3
 
 
 def test_work_on_text_goes_with_its_size(tmp_path) -> None:
@@ -258,9 +259,11 @@ def test_a_header_line_of_any_length_is_refused_at_once(tmp_path) -> None:
         file.write(b"time [s],")
         for _ in range(200):
             file.write(b"AF [N]," * 150_000)
-    for way in ("read", "template", "table"):
-        said = bounded((way, path))
-        assert "line 1: is longer than 1048576 bytes, which no line of a table is" in said[str(path)]
+    names = {way: tmp_path / f"{way}.csv" for way in ("read", "template", "table")}  # the same file, by way
+    for name in names.values():
+        name.hardlink_to(path)
+    for said in bounded(*names.items()).values():
+        assert "line 1: is longer than 1048576 bytes, which no line of a table is" in said
 
 
 def test_toml_that_takes_the_parser_minutes_is_refused(tmp_path) -> None:
@@ -307,8 +310,8 @@ def test_mutated_text_raises_read_errors_only(tmp_path, name, way, content) -> N
     data, path = content.encode(), tmp_path / name
     rng = np.random.default_rng(21)
     signs = np.frombuffer(b"\x00\n\r\t \",;.=[]{}#-+eE19\\'\xff\xc3\x1a", dtype=np.uint8)
-    refused = 0
-    for _ in range(400):
+    refused, count = 0, trials(200, 400)
+    for _ in range(count):
         damaged = bytearray(data)
         for _ in range(int(rng.integers(1, 5))):
             at = int(rng.integers(0, len(damaged)))
@@ -323,4 +326,4 @@ def test_mutated_text_raises_read_errors_only(tmp_path, name, way, content) -> N
                 refused += 1
                 assert str(path) in str(problem)
                 assert "\n" not in str(problem)
-    assert 100 < refused < 400
+    assert count / 4 < refused < count

@@ -271,13 +271,19 @@ def folder(tmp_path_factory):
     return path
 
 
-def test_forces_do_not_depend_on_how_the_file_is_read(folder, in_parts):
-    found = []
+@pytest.fixture(scope="module")
+def in_memory(folder):
+    """Parts of the force of the record that is read whole, and the force of them all."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("aerobalance.estimation.force.DIVISION", Division(readings=PART))
+        whole = read(folder / "run.h5")
+        return quiet(lambda: (list(ForceWork(whole, dynamics_of(T128)).parts()), estimate_force(whole, T128).only))
+
+
+def test_forces_do_not_depend_on_how_the_file_is_read(folder, in_parts, in_memory):
     for name in ("run.h5", "other_blocks.h5"):
         with open_record(folder / name) as record:
-            found.append(quiet(lambda record=record: list(ForceWork(record, dynamics_of(T128)).parts())))
-    found.append(quiet(lambda: list(ForceWork(read(folder / "run.h5"), dynamics_of(T128)).parts())))
-    for one, other in pairwise(found):
+            one, other = quiet(lambda record=record: list(ForceWork(record, dynamics_of(T128)).parts())), in_memory[0]
         assert len(one) == len(other) == 3
         for part, again in zip(one, other, strict=True):
             assert part.part == again.part
@@ -286,13 +292,14 @@ def test_forces_do_not_depend_on_how_the_file_is_read(folder, in_parts):
 
 
 @pytest.mark.parametrize("ending", ["h5", "csv"])
-def test_the_command_writes_what_the_call_gives(folder, in_parts, tmp_path, capsys, ending):
+@pytest.mark.usefixtures("in_parts")
+def test_the_command_writes_what_the_call_gives(folder, in_memory, tmp_path, capsys, ending):
     out, page = tmp_path / f"force.{ending}", tmp_path / "force.html"
     words = ["force", str(folder / "run.h5"), "--dynamics", str(folder / "dynamics.json"), "-o", str(out), "--json"]
     assert main([*words, "--report", str(page)]) == 0
     captured = capsys.readouterr()
     account = json.loads(captured.out)["components"]["AF"]
-    force = quiet(lambda: estimate_force(read(folder / "run.h5"), T128)).only
+    force = in_memory[1]
     written = read(out)
     tolerance = 0.0 if ending == "h5" else 1e-3 * force.uncertainty.min()
     np.testing.assert_allclose(written.channel("AF").values, force.values, rtol=0, atol=tolerance)
@@ -357,21 +364,29 @@ def test_nothing_is_left_of_a_file_whose_writing_fails(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+IN_SHORT_PARTS = f"""
+from aerobalance.estimation import force, force_parts
+force.DIVISION = force_parts.Division(readings={PART})
+from aerobalance.app.cli import run
+run()
+"""
+
+
 @pytest.mark.skipif(os.name == "nt", reason="signals are those of POSIX")
 def test_ctrl_c_between_two_parts_leaves_no_half_file(folder, tmp_path):
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
-    ticking(folder / "longer.h5", load(8, 260_000), rows=8192)  # longer than a part
     words = [
         "force",
-        str(folder / "longer.h5"),
+        str(folder / "run.h5"),
         "--dynamics",
         str(folder / "dynamics.json"),
         "-o",
         str(tmp_path / "f.h5"),
     ]
     try:
-        command = [sys.executable, "-m", "aerobalance.app.cli", *words]
-        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as running:
+        command = [sys.executable, "-c", IN_SHORT_PARTS, *words]
+        pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+        with subprocess.Popen(command, cwd=folder, **pipes) as running:
             until = time.monotonic() + 60
             while not list(tmp_path.glob(".*.part")):  # it begins with the first rows that are certain
                 assert time.monotonic() < until

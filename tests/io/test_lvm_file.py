@@ -77,9 +77,9 @@ def test_segments_without_times_of_their_own_follow_each_other(tmp_path):
     assert read(written(tmp_path, file_head() + segment([AF, TWO]) * 3)).samples == 60
 
 
-def test_two_thousand_segments_of_one_row(tmp_path):
-    text = file_head() + segment([AF[:1], TWO[:1]]) * 2_000
-    assert read(written(tmp_path, text)).samples == 2_000
+def test_many_segments_of_one_row(tmp_path):
+    text = file_head() + segment([AF[:1], TWO[:1]]) * 500
+    assert read(written(tmp_path, text)).samples == 500
 
 
 @pytest.mark.parametrize("separator", ["Tab", "Comma"])

@@ -14,6 +14,7 @@ from aerobalance.io.load_columns import balance_type_of, load_key
 from aerobalance.io.schedule import read_schedule, write_balfit_schedule
 from aerobalance.recording.errors import DataQualityWarning, FitError, ReadError
 from aerobalance.recording.units import conversion
+from seeds import trials
 
 POUND = 0.45359237 * 9.80665  # international pound (1959) and standard gravity (1901), both exact
 INCH = 0.0254
@@ -753,7 +754,7 @@ DAMAGED = {
 
 
 @pytest.mark.parametrize("kind", DAMAGED)
-@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=trials(50, 150), deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(data=st.data())
 def test_damage_ends_in_an_error_or_a_schedule(tmp_path, kind, data):
     content = DAMAGED[kind]

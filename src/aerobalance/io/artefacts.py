@@ -6,6 +6,7 @@ import hashlib
 import json
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
+from math import isfinite
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Final, NoReturn, TypedDict, TypeVar, Unpack
 
@@ -184,14 +185,14 @@ def _plain(item: object) -> object:
     """Turn arrays, numpy numbers, paths and what is not finite into plain data."""
     if isinstance(item, Mapping):
         return {str(key): _plain(value) for key, value in item.items()}
-    if isinstance(item, (list, tuple, np.ndarray)):
+    if isinstance(item, (list, tuple)):
         return [_plain(value) for value in item]
-    if isinstance(item, np.generic):
-        return _plain(item.item())
+    if isinstance(item, (np.ndarray, np.generic)):
+        return _plain(item.tolist())
     if isinstance(item, Path):
         return item.name
     if isinstance(item, float):
-        return item + 0.0 if np.isfinite(item) else None  # no minus before a zero
+        return item + 0.0 if isfinite(item) else None  # no minus before a zero
     if item is None or isinstance(item, (str, int, bool)):
         return item
     raise ValueError(f"cannot write a {type(item).__name__} as JSON")

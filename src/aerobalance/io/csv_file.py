@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
@@ -293,17 +294,14 @@ def appending(
         Takes the next rows of all columns, by header.
     """
     del described, epoch, rows
-    import pandas as pd  # noqa: PLC0415 - half a second, and only files need it
-
     separator = SUFFIXES[path.suffix.lower()]
+    missing = "" if len(labels) > 1 else '""'  # a line without a character is no row
     with replacing(path) as beside, beside.open("w", encoding="utf-8", newline="") as file:
 
-        def write(table: pd.DataFrame, *, header: bool) -> None:
-            table.to_csv(file, header=header, index=False, sep=separator, lineterminator="\n")
-
         def append(columns: Mapping[str, Array]) -> None:
-            finite = {label: without_infinities(columns[label]) for label in labels}
-            write(pd.DataFrame(finite), header=False)
+            cells = [map(repr, without_infinities(columns[label]).tolist()) for label in labels]
+            rows = "".join(f"{separator.join(row)}\n" for row in zip(*cells, strict=True))
+            file.write(rows.replace("nan", missing))
 
-        write(pd.DataFrame(columns=list(labels)), header=True)
+        csv.writer(file, delimiter=separator, lineterminator="\n").writerow(labels)
         yield append

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -339,17 +340,24 @@ def _about(name: str, angle: ArrayLike) -> tuple[Array, Array]:
 
     Rodrigues' formula for the turn of the balance by the other way, as the fixed vector is seen from it.
     """
-    axis = np.array(VECTORS[ANGLES[name]], dtype=np.float64)
+    along, plane, across = _parts_of_turn(name)
     given = np.asarray(angle, dtype=np.float64)[..., None, None]
-    along, across = np.outer(axis, axis), _cross(axis)
-    plane = np.eye(3) - along
     matrix = along + np.cos(given) * plane - np.sin(given) * across
     return matrix, -np.sin(given) * plane - np.cos(given) * across
 
 
+@cache
+def _parts_of_turn(name: str) -> tuple[Array, Array, Array]:
+    """Matrices that keep what is along an axis, what is across it, and what is across turned by a right angle."""
+    axis = np.array(VECTORS[ANGLES[name]], dtype=np.float64)
+    along = np.outer(axis, axis)
+    return along, np.eye(3) - along, _cross(axis)
+
+
 def _cross(vector: Array) -> Array:
     """Matrix of the product with a vector on its left, shape (3, 3)."""
-    return np.cross(vector, np.eye(3)).T
+    x, y, z = vector
+    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def _load_matrix(rotation: Array, point: Array) -> Array:

@@ -334,6 +334,7 @@ _ROOTS: Final = {
 }
 
 
+@cache
 def _kind(spelled: str) -> str | None:
     """Return which of the units inside a unit belongs to; None if to none."""
     if spelled in _USUAL:
@@ -350,6 +351,7 @@ def _kind(spelled: str) -> str | None:
     return None
 
 
+@cache
 def _factor(spelled: str, kind: str) -> float:
     """Value of one unit in the unit inside."""
     registry = _registry()

@@ -16,12 +16,12 @@ import numpy as np
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.component_force import estimated
 from aerobalance.estimation.coupled_record import CoupledRecord
+from aerobalance.estimation.direct import band_limited, central_differences
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.force_smoother import SmootherResult
 from aerobalance.estimation.prior import fit_prior
-from aerobalance.estimation.record import BalanceRecord
+from aerobalance.estimation.record import BalanceRecord, ComponentRecord
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.steps import columns_of
 from aerobalance.recording.channel import Array, Channel
@@ -98,6 +98,11 @@ class _Component:
         damping, inertia = (part[[self.place]][:, [self.place]] for part in self.record.dynamics.quadratic)
         return CoupledDynamics((self.name,), inertia, np.maximum(damping, 0.0))
 
+    def _alone(self, recording: Recording, *, with_gaps: bool = False) -> ComponentRecord:
+        """The component by the diagonals, made ready; what the record says against them is not asked."""
+        given = recording if with_gaps else without_gaps(recording, self.name)
+        return CoupledRecord.of(given, self.diagonal).component_record(self.name)
+
     def rivals(self) -> dict[str, Estimator]:
         """All of them by name."""
         one: dict[str, Estimator] = {
@@ -147,7 +152,7 @@ class _Component:
         self, recording: Recording, dynamics: ModalModel, settings: BaselineSettings
     ) -> BaselineEstimate:
         """Eq. (17) of [Gorbushin2020]_ with the paper's derivatives and the diagonals of the matrices."""
-        found = estimate_force(without_gaps(recording, self.name), self.diagonal, method="paper").only
+        found = central_differences(self._alone(recording))
         note = f"no delay; first and last sample poor; {ONE_COMPONENT}"
         return BaselineEstimate("central differences, diagonal", found.values, found.method, note)
 
@@ -156,7 +161,7 @@ class _Component:
     ) -> BaselineEstimate:
         """The inverse by the diagonals limited to a band, customarily twice the component's natural frequency."""
         bandwidth = corner_frequency(recording, settings, 2 * self.diagonal.modes[0].natural_frequency)
-        found = estimate_force(without_gaps(recording, self.name), self.diagonal, bandwidth=bandwidth).only
+        found = band_limited(self._alone(recording), bandwidth)
         note = f"{ZERO_PHASE}; {ONE_COMPONENT}"
         return BaselineEstimate("band-limited inverse, diagonal", found.values, found.method, note, tuning=bandwidth)
 
@@ -183,7 +188,7 @@ class _Component:
         bandwidth = min(wanted, 0.49 * recording.rate)
         ready = self.record.component_record(self.name, self.filled)
         ready = replace(ready, recording=without_gaps(ready.recording, self.name))
-        found = estimated(ready, method="smoother", bandwidth=bandwidth, hum="mains")
+        found = band_limited(ready, bandwidth)
         return BaselineEstimate(
             "band-limited inverse, coupled", found.values, found.method, ZERO_PHASE, tuning=bandwidth
         )
@@ -192,7 +197,7 @@ class _Component:
         self, recording: Recording, dynamics: ModalModel, settings: BaselineSettings
     ) -> BaselineEstimate:
         """The smoother with the diagonals of the matrices; what they leave ringing would be taken for steps."""
-        reading = CoupledRecord.of(recording, self.diagonal).component_record(self.name).reading()
+        reading = self._alone(recording, with_gaps=True).reading()
         learned = fit_prior(reading, columns=columns_of([], reading))
         values = SmootherResult.of(reading, learned=learned, steps=()).force
         words = f"smoother: {learned.spectrum}; no steps looked for: what the diagonal leaves ringing looks like many"

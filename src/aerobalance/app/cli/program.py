@@ -7,6 +7,7 @@ import os
 import sys
 import warnings
 from collections.abc import Sequence
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
@@ -145,6 +146,7 @@ def _run(words: Sequence[str]) -> int:
     return int(result or 0)
 
 
+@cache
 def _command() -> Any:
     """Make the commands, with flags shown as such: no value follows them."""
     command = typer.main.get_command(app)

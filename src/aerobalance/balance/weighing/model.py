@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -94,26 +95,28 @@ class WeightModel:
     def loads(self, directions: Array, values: Array) -> Array:
         """Loads, shape (n, c) [N, N*m], from `weight_direction` and all parameters, shape (p,)."""
         turn, _ = rotation(*values[-3:])
-        weights, offsets = self._structure()
+        weights, offsets = _structure(self)
         result: Array = directions @ (turn.T @ (weights @ values)) + offsets @ values
         return result
 
     def jacobian(self, directions: Array, values: Array) -> Array:
         """Derivatives of the loads by all parameters, shape (n, c, p)."""
         turn, derivatives = rotation(*values[-3:])
-        weights, offsets = self._structure()
+        weights, offsets = _structure(self)
         result: Array = np.einsum("nk,kcp->ncp", directions @ turn.T, weights) + offsets
         for index, derivative in enumerate(derivatives):
             result[:, :, index - 3] = directions @ (derivative.T @ (weights @ values))
         return result
 
-    def _structure(self) -> tuple[Array, Array]:
-        """How gravity's shares, shape (3, c, p), and the offsets, shape (c, p), enter the components."""
-        names = self.names
-        weights = np.zeros((3, len(self.components), len(names)))
-        offsets = np.zeros((len(self.components), len(names)))
-        for row, component in enumerate(self.components):
-            for name, (sign, share) in self.weight_terms(component).items():
-                weights[share, row, names.index(name)] = sign * self.gravity
-            offsets[row, names.index(f"offset.{component}")] = 1.0
-        return weights, offsets
+
+@cache
+def _structure(model: WeightModel) -> tuple[Array, Array]:
+    """How gravity's shares, shape (3, c, p), and the offsets, shape (c, p), enter the components."""
+    names = model.names
+    weights = np.zeros((3, len(model.components), len(names)))
+    offsets = np.zeros((len(model.components), len(names)))
+    for row, component in enumerate(model.components):
+        for name, (sign, share) in model.weight_terms(component).items():
+            weights[share, row, names.index(name)] = sign * model.gravity
+        offsets[row, names.index(f"offset.{component}")] = 1.0
+    return weights, offsets
