@@ -201,7 +201,7 @@ def test_kernels_without_compilation(model: str, monkeypatch: pytest.MonkeyPatch
     terms, C = codes(matrix.terms), np.ascontiguousarray(matrix.coefficients)
     y = np.vstack([polynomial(matrix, x), np.full(6, np.nan)])
     compiled = kernels.design(*terms, x), kernels.jacobians(*terms, C, x), *inverted(*terms_and(matrix), y)
-    for name in ("term", "forward", "design", "jacobians", "multiply", "invert"):
+    for name in ("term", "forward", "design", "jacobians", "subtract", "sizes", "note", "move", "invert"):
         monkeypatch.setattr(kernels, name, getattr(kernels, name).py_func)
     plain = kernels.design(*terms, x), kernels.jacobians(*terms, C, x), *inverted(*terms_and(matrix), y)
     # the same operations, but the compiler may contract a multiplication and an addition into one
@@ -234,6 +234,25 @@ def test_block_iteration_beside_newton_sample_by_sample(model: str, rng) -> None
     for part in (slice(0, 1), slice(5, 20), slice(100, 300)):
         again = inverted(*terms_and(matrix), y[part])[0]
         np.testing.assert_allclose(again, found[part], rtol=0, atol=rounding)
+
+
+@pytest.mark.parametrize(("count", "model"), [(1, "96"), (4, "quadratic"), (6, "96"), (8, "quadratic"), (8, "96")])
+def test_more_and_less_than_six_components_and_samples_that_need_more_steps(count: int, model: str, rng) -> None:
+    """Every ninth sample is so large that its terms bend ten times as much as those of the others."""
+    terms = terms_of(model, count)
+    C = np.where([[term.kind == 0] for term in terms], 0.0, rng.normal(0, 0.01, (len(terms), count)))
+    C[:count] += np.eye(count)
+    x = rng.uniform(-0.3, 0.3, (1500, count))
+    x[::9] *= 6.0
+    y = kernels.design(*codes(terms), x) @ C
+    found, steps = inverted(codes(terms), C, C[:count].T, y)
+    np.testing.assert_allclose(found, x, rtol=0, atol=1.1 * inversion.TOLERANCE)
+    assert (steps > 0).all()
+    assert count == 1 or np.median(steps[::9]) > np.median(steps[1::9])
+    again, steps_again = inverted(codes(terms), C, C[:count].T, y[700:950])
+    # those that Newton's method finds are in products of matrices, which may add in another order
+    np.testing.assert_allclose(again, found[700:950], rtol=0, atol=inversion.LAST_STEP)
+    np.testing.assert_array_equal(steps_again, steps[700:950])
 
 
 def test_far_from_linear_newton_goes_on() -> None:

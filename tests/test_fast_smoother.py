@@ -1,15 +1,25 @@
 """The smoother by blocks against the one sample by sample: starts, ends, gaps, many states, noise of any size."""
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.fft import irfft
 
 from aerobalance.dynamics.single import Dynamics, Mode
-from aerobalance.estimation.prior import Observation, fit_prior
+from aerobalance.estimation.force import force_record
+from aerobalance.estimation.force_smoother import SmootherResult
+from aerobalance.estimation.prior import Observation, SpectralPrior, fit_prior
+from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, StateSpace
 from aerobalance.estimation.statespace.model_draws import FORGOTTEN, ModelDraws
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.estimation.statespace.steady_state import root_of
+from aerobalance.estimation.steps import Step, columns_of
+from aerobalance.simulation import SixComponentRig
+from aerobalance.simulation.six_balance import random_balance
+from aerobalance.simulation.six_signals import Band, broadband
 from helpers.butterworth import butterworth
 from helpers.cable_cut import T128
 from helpers.slow_smoother import SlowSmoother
@@ -118,6 +128,78 @@ def test_smoothing_by_blocks_is_smoothing_sample_by_sample(model, kind, n, rng):
     assert np.max(np.abs(ours[:, 0, LOAD] - oracle[:, 0, LOAD])) < TOLERANCE * size
     assert np.max(np.abs(ours[:, 1] - oracle[:, 1])) < 1e-6 * max(1.0, float(np.max(np.abs(oracle[:, 1]))))
     assert np.sqrt(fast.smoothed_variance + 1e-300) == pytest.approx(deviation, rel=TOLERANCE, abs=TOLERANCE * 1e-3)
+
+
+STEPS = {
+    "at start and end": (0.0, 0.8, 2.6, -3.3, -0.4),  # the last samples count from the end
+    "inside": (611.0, 1403.4, 1405.1),
+    "beside gaps and in them": (99.6, 103.5, 129.4, 131.7, 133.2, 699.5, 711.3, 749.5, 1989.4, 1992.2),
+}
+"""Instants of steps in samples of `gaps(2500, "gaps")`."""
+
+
+def in_two_ways(
+    reading: Observation, learned: SpectralPrior, steps: Sequence[Step], monkeypatch: pytest.MonkeyPatch
+) -> tuple[SmootherResult, SmootherResult]:
+    """The force of a record, its prior and the instants of its steps given: by blocks, and sample by sample."""
+    fast = SmootherResult.of(reading, learned=learned, steps=steps)
+    with monkeypatch.context() as patched:
+        patched.setattr(
+            "aerobalance.estimation.force_smoother.KalmanFilter", type("Slow", (), {"of": staticmethod(SlowSmoother)})
+        )
+        return fast, SmootherResult.of(reading, learned=learned, steps=steps)
+
+
+def check_same_force(fast: SmootherResult, slow: SmootherResult, *, rms: float) -> None:
+    """At every sample the same force to 0.01 u, the part of u that steps add not counted."""
+    # rounding of a variance that is known to 1e-7 of the force's own is none
+    deviation = np.sqrt(np.maximum(slow.variance, 1e-14 * rms**2))
+    assert np.max(np.abs(fast.force - slow.force) / deviation) < TOLERANCE
+    assert np.max(np.abs(np.sqrt(fast.variance) - deviation) / deviation) < TOLERANCE
+
+
+@pytest.mark.parametrize("where", STEPS)
+@pytest.mark.parametrize("missing", [False, True], ids=["whole", "gaps"])
+@pytest.mark.parametrize("color", [False, True], ids=["white", "colored noise"])
+def test_forces_with_steps_are_those_sample_by_sample(where, missing, color, rng, monkeypatch):
+    n = 2500
+    frequency = np.fft.rfftfreq(n, INTERVAL)
+    inside = (frequency > 0) & (frequency < 120)
+    spectrum = np.where(inside, rng.normal(size=inside.size) + 1j * rng.normal(size=inside.size), 0)
+    noise, known = rng.normal(0, 2.0, n), {}
+    if color:
+        relaxations = ColoredNoise(np.array([1.0, 30.0]), np.array([9.0, 16.0]), (), INTERVAL)
+        known = {"noise": 2.0, "color": relaxations}
+        white = np.fft.rfft(rng.normal(size=n))
+        noise += np.fft.irfft(white * np.sqrt(relaxations.density(frequency) / INTERVAL), n)
+    load = np.fft.irfft(spectrum * T128.response(frequency), n)
+    values = 300 * load / load.std() + noise
+    steps = [Step((at if at >= 0 else n + at) * INTERVAL, 0.0) for at in STEPS[where]]
+    reading = Observation(values, INTERVAL, T128, **known)
+    values = values + columns_of(steps, reading)[:, 1:] @ rng.normal(0, 500, len(steps))
+    reading = replace(reading, values=np.where(gaps(n, "gaps" if missing else "whole"), values, np.nan))
+    learned = fit_prior(reading, columns=columns_of(steps, reading))
+    fast, slow = in_two_ways(reading, learned, steps, monkeypatch)
+    check_same_force(fast, slow, rms=500.0)
+
+
+@pytest.mark.parametrize("missing", [False, True], ids=["whole", "gaps"])
+def test_forces_of_six_components_are_those_sample_by_sample(missing, rng, monkeypatch):
+    """Each along its decoupled component, with steps at the start, inside, in a gap and at the end."""
+    balance = random_balance(rng)
+    dynamics = replace(balance.dynamics, mass=balance.mass)
+    load = broadband(rng, Band(0, 400.0), rms=0.1 * balance.half_range, period=0.4)
+    run = SixComponentRig(balance, applied=load, output="loads").run(0.1, rng).recording
+    record = force_record(run, dynamics)
+    n = run.samples
+    steps = [Step(at / run.rate, 0.0) for at in (1.4, 1203.3, 711.3, n - 3.3)]
+    for name, one in record.component_records(record.loads).items():
+        reading = one.reading()
+        size = 0.1 * balance.half_range[list(record.dynamics.components).index(name)]
+        values = reading.values + columns_of(steps, reading)[:, 1:] @ rng.normal(0, size, len(steps))
+        reading = replace(reading, values=np.where(gaps(n, "gaps" if missing else "whole"), values, np.nan))
+        learned = fit_prior(reading, columns=columns_of(steps, reading))
+        check_same_force(*in_two_ways(reading, learned, steps, monkeypatch), rms=size)
 
 
 @pytest.mark.parametrize("kind", ["whole", "gaps"])

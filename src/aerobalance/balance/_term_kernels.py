@@ -5,6 +5,8 @@ A term is a kind (the ten of AIAA R-091, in its order) and the one or two variab
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -15,11 +17,78 @@ Singles = NDArray[np.float32]
 Integers = NDArray[np.int64]
 
 FARTHEST = 1e6  # of the scale; beyond it an iteration has run away
-BLOCK = 128  # samples that are worked on together: what is known of them fits into the fastest memory
+BLOCK = 304  # samples that are worked on together: they fit into the fastest memory, and rows do not meet in it
+LATE = 38  # samples of a block that may be left, to be found together with those that others left
 SINGLE_STEPS = 4  # in single precision: the samples of a balance, a few hundredths from linear, are then at its end
-BLOCK_STEPS = 24  # further ones; samples that need more are left to Newton's method
-SURE = 10.0  # by how much the iteration may slow down from one step to the next
-ROUNDING = 1e-15  # of a step that ends it at once
+CHANGES = 3  # steps by how the terms have changed that follow each step in double precision
+STEPS = 24  # of both kinds; samples that need more are left to Newton's method
+SURE = np.float32(6.0)  # by how much the iteration may slow down from one step to the next
+SMALL = np.float32(1e5)  # a first change, over the tolerance, whose followers in single precision err by a tenth of it
+ROUNDING = np.float32(1e-15)  # of a step that ends it at once
+NONE = np.float32(0.0)
+SIX, THREE = 6, 3  # sums, and terms they are made of, at a time: as many as the registers of a processor hold
+MOVED, BEFORE, FIRST, DONE = range(4)  # rows of `Work.marks`
+
+
+class Work(NamedTuple):
+    """Memory of `invert` for a block of m samples of d variables.
+
+    Attributes
+    ----------
+    places, ones : int (d,)
+        Rows of z with x, and as often the row of ones.
+    z, z1, z2 : (r, m)
+        Factors of the terms: 1, x and, where terms have them, |x| and x^2; in double and twice in single precision.
+    factors : (r, 2 m)
+        Means and changes of the factors.
+    x, x1, x2 : (d m,)
+        The rows with x of z, z1 and z2.
+    start, rest : (d m,)
+        x without terms that are not linear; what x lacks of it with them.
+    start1, change : (d m,)
+        The same start, and a change of x, in single precision.
+    marks : (4, m)
+        Largest change of any variable, the one before it, that of the last step in double precision, and the step at
+        which a sample was found: -1 as long as it is not, 0 where it cannot be.
+    """
+
+    places: Integers
+    ones: Integers
+    z: Floats
+    z1: Singles
+    z2: Singles
+    factors: Singles
+    x: Floats
+    x1: Singles
+    x2: Singles
+    start: Floats
+    rest: Floats
+    start1: Singles
+    change: Singles
+    marks: Singles
+
+
+class Polynomials(NamedTuple):
+    """Terms and what they add to x + N(x) = L y, six values and three terms at a time.
+
+    Attributes
+    ----------
+    left, right : int (3 g,)
+        Rows of z = (1, x) or (1, x, |x|, x^2) whose product is a term.
+    shares, coarse : (s, g, 18)
+        What three terms add to six values of N, in double and in single precision.
+    linear : (s, 2 s, 18)
+        -L, three values of y and six of x at a time.
+    scale : (d,)
+        What solutions are multiplied by.
+    """
+
+    left: Integers
+    right: Integers
+    shares: Floats
+    coarse: Singles
+    linear: Floats
+    scale: Floats
 
 
 @compiled(inner=True)
@@ -84,117 +153,186 @@ def jacobians(kinds: Integers, first: Integers, second: Integers, C: Floats, x: 
     return J
 
 
-@compiled(inline="always")
-def multiply(left: Integers, right: Integers, z: Floats | Singles, terms: Floats | Singles, c: int) -> None:
-    """Put the products of rows of z = (1, x, |x|, x^2), in which x alone is given, into terms (t, m)."""
-    if z.shape[0] > 1 + c:
-        for i in range(c):
-            for k in range(z.shape[1]):
-                z[1 + c + i, k] = abs(z[1 + i, k])
-                z[1 + 2 * c + i, k] = z[1 + i, k] * z[1 + i, k]
-    for t in range(left.size):
-        i, j = left[t], right[t]
-        for k in range(z.shape[1]):
-            terms[t, k] = z[i, k] * z[j, k]
-
-
-@compiled(fastmath={"contract"}, error_model="numpy")
-def invert(
+@compiled(inner=True, fastmath={"contract"})
+def subtract(
     left: Integers,
     right: Integers,
-    shares: Floats,
-    coarse: Singles,
-    linear: Floats,
-    scale: Floats,
-    y: Floats,
-    tolerance: float,
-) -> tuple[Floats, Integers]:
-    """Find x with x + N(x) = linear y, N the terms that are not linear: the plain iteration x <- linear y - N(x).
+    shares: Floats | Singles,
+    z: Floats | Singles,
+    sums: Floats | Singles,
+    change: bool,
+) -> None:
+    """Subtract terms, products of rows of z, times their shares from sums (d m,); or how the terms change.
 
-    It begins in single precision, which takes half the time and loses nothing. A sample stands still once it is found,
-    so that it does not matter which others are worked on beside it.
+    A row of z is a factor, (m,), or its mean and its change, (2 m,): a product changes by the mean of one factor times
+    the change of the other, and the other way round.
+    """
+    for h in range(shares.shape[0]):
+        s = sums[h * SIX * BLOCK :]
+        for g in range(shares.shape[1]):
+            l0, l1, l2 = left[THREE * g], left[THREE * g + 1], left[THREE * g + 2]
+            r0, r1, r2 = right[THREE * g], right[THREE * g + 1], right[THREE * g + 2]
+            a0, a1, a2 = shares[h, g, 0], shares[h, g, 1], shares[h, g, 2]
+            b0, b1, b2 = shares[h, g, 3], shares[h, g, 4], shares[h, g, 5]
+            c0, c1, c2 = shares[h, g, 6], shares[h, g, 7], shares[h, g, 8]
+            d0, d1, d2 = shares[h, g, 9], shares[h, g, 10], shares[h, g, 11]
+            e0, e1, e2 = shares[h, g, 12], shares[h, g, 13], shares[h, g, 14]
+            f0, f1, f2 = shares[h, g, 15], shares[h, g, 16], shares[h, g, 17]
+            for k in range(BLOCK):
+                if change:
+                    x = z[l0, k] * z[r0, BLOCK + k] + z[l0, BLOCK + k] * z[r0, k]
+                    y = z[l1, k] * z[r1, BLOCK + k] + z[l1, BLOCK + k] * z[r1, k]
+                    v = z[l2, k] * z[r2, BLOCK + k] + z[l2, BLOCK + k] * z[r2, k]
+                else:
+                    x, y, v = z[l0, k] * z[r0, k], z[l1, k] * z[r1, k], z[l2, k] * z[r2, k]
+                s[k] = s[k] - a0 * x - a1 * y - a2 * v
+                s[BLOCK + k] = s[BLOCK + k] - b0 * x - b1 * y - b2 * v
+                s[2 * BLOCK + k] = s[2 * BLOCK + k] - c0 * x - c1 * y - c2 * v
+                s[3 * BLOCK + k] = s[3 * BLOCK + k] - d0 * x - d1 * y - d2 * v
+                s[4 * BLOCK + k] = s[4 * BLOCK + k] - e0 * x - e1 * y - e2 * v
+                s[5 * BLOCK + k] = s[5 * BLOCK + k] - f0 * x - f1 * y - f2 * v
+
+
+@compiled(inline="always")
+def sizes(z: Floats | Singles, d: int) -> None:
+    """Put |x| and x^2 of d variables into z = (1, x, |x|, x^2), where it has them."""
+    if z.shape[0] > 1 + d:
+        for i in range(1, 1 + d):
+            for k in range(BLOCK):
+                z[d + i, k] = abs(z[i, k])
+                z[2 * d + i, k] = z[i, k] * z[i, k]
+
+
+@compiled(inline="always")
+def note(change: Singles, marks: Singles, tolerance: float, step: int, exact: bool) -> int:
+    """Number of samples that this change of x does not end; the step is noted of those that it does.
+
+    The next change would be by this one's size times its part of the one before, and so on.
+    """
+    for k in range(BLOCK):
+        marks[MOVED, k] = NONE
+    for i in range(change.size // BLOCK):
+        for k in range(BLOCK):
+            marks[MOVED, k] = max(marks[MOVED, k], abs(change[i * BLOCK + k]))
+    count, small, number = 0, np.float32(tolerance), np.float32(step)
+    for k in range(BLOCK):
+        near = (SURE * marks[MOVED, k] * marks[MOVED, k] <= small * marks[BEFORE, k]) | (marks[MOVED, k] <= ROUNDING)
+        near &= exact | (marks[FIRST, k] <= SMALL * small)
+        marks[DONE, k] = number if near & (marks[DONE, k] < NONE) else marks[DONE, k]
+        marks[FIRST, k] = marks[MOVED, k] if exact else marks[FIRST, k]
+        marks[BEFORE, k] = marks[MOVED, k]
+        count += marks[DONE, k] < NONE
+    return count
+
+
+@compiled(inline="always")
+def move(x: Floats, change: Singles, marks: Singles, factors: Singles) -> None:
+    """Change x (d m,) and note the means and changes of its factors; samples that are done change no more."""
+    d = x.size // BLOCK
+    for i in range(d):
+        row = 1 + i
+        for k in range(BLOCK):
+            by = change[i * BLOCK + k] if marks[DONE, k] < NONE else NONE
+            x[i * BLOCK + k] += change[i * BLOCK + k]
+            change[i * BLOCK + k] = NONE
+            factors[row, k] = x[i * BLOCK + k] - 0.5 * by
+            factors[row, BLOCK + k] = by
+        if factors.shape[0] > 1 + d:
+            for k in range(BLOCK):
+                new = x[i * BLOCK + k]
+                old = new - factors[row, BLOCK + k]
+                factors[d + row, k] = 0.5 * (abs(new) + abs(old))
+                factors[d + row, BLOCK + k] = abs(new) - abs(old)
+                factors[2 * d + row, k] = 0.5 * (new * new + old * old)
+                factors[2 * d + row, BLOCK + k] = (new - old) * (new + old)
+
+
+@compiled(no_cfunc_wrapper=True)
+def invert(
+    given: Polynomials, y: Floats, tolerance: float, late: int, work: Work, out: Floats, steps: Integers
+) -> None:
+    """Find x with x + N(x) = L y, N the terms that are not linear: the plain iteration x <- L y - N(x).
+
+    It begins in single precision, which takes half the time and loses nothing. A step in double precision follows, and
+    then steps by how N has changed, for which single precision is enough again. A sample stands still once it is
+    found, so that it does not matter which others are worked on beside it.
 
     Parameters
     ----------
-    left, right : int (t,)
-        Rows of z = (1, x) or (1, x, |x|, x^2) whose product is a term.
-    shares, coarse : (c, t)
-        What each term adds to N, and the same in single precision.
-    linear : (c, c)
-        What turns y into x where there are no other terms.
-    scale : (c,)
-        What the solutions are multiplied by.
-    y : (n, c)
-        Values wanted.
+    given : Polynomials
+        L and N.
+    y : (s, 6 n)
+        Values wanted, six of each sample; 0 for variables that are not there.
     tolerance : float
         Largest error of any variable x.
-
-    Returns
-    -------
-    x : (n, c)
-        Solutions, scaled; NaN where none was found.
+    late : int
+        Samples of a block that may be left without a solution, where others are found with fewer steps.
+    work : Work
+        Memory.
+    out : (s, 6 n)
+        Takes the solutions, scaled; NaN where none was found.
     steps : int (n,)
-        Steps taken; 0 where none was found.
+        Takes the steps; 0 where no solution was found.
     """
-    n, c = y.shape
-    rows = 1 + c
-    for t in range(left.size):
-        rows = 1 + 3 * c if max(left[t], right[t]) > c else rows
-    out, steps = np.empty((n, c)), np.zeros(n, np.int64)
-    given, start, bent = np.zeros((c, BLOCK)), np.empty((c, BLOCK)), np.empty((c, BLOCK))
-    z, terms = np.ones((rows, BLOCK)), np.empty((left.size, BLOCK))
-    start_, bent_ = np.empty((c, BLOCK), np.float32), np.empty((c, BLOCK), np.float32)
-    z_, terms_ = np.ones((rows, BLOCK), np.float32), np.empty((left.size, BLOCK), np.float32)
-    done, moved, before = np.empty(BLOCK), np.empty(BLOCK), np.empty(BLOCK)
-    for first in range(0, n, BLOCK):
-        count = min(BLOCK, n - first)
-        for i in range(c):
+    # flags that are no literals share one compilation
+    plain, changed = steps.size < 0, steps.size >= 0
+    left, right, shares, coarse, linear, scale = given
+    places, ones, z, z1, z2, factors, x, x1, x2, start, rest, start1, change, marks = work
+    d, n = scale.size, steps.size
+    for begin in range(0, n, BLOCK):
+        count = min(BLOCK, n - begin)
+        for h in range(y.shape[0]):
+            some, six = y[h, SIX * begin : SIX * (begin + count)], x[h * SIX * BLOCK :]  # no index can be negative
             for k in range(count):
-                given[i, k] = y[first + k, i]
-        np.dot(linear, given, start)
-        for i in range(c):
-            for k in range(BLOCK):
-                start_[i, k] = start[i, k]
-                z_[1 + i, k] = start_[i, k]
-        for _ in range(SINGLE_STEPS):
-            multiply(left, right, z_, terms_, c)
-            np.dot(coarse, terms_, bent_)
-            for i in range(c):
-                for k in range(BLOCK):
-                    z_[1 + i, k] = start_[i, k] - bent_[i, k]
+                for i in range(SIX):
+                    six[i * BLOCK + k] = some[SIX * k + i]
+        for j in range(x.size):
+            start[j] = 0.0
+        subtract(places, ones, linear, z, start, False)
         for k in range(BLOCK):
-            done[k] = -1.0 if k < count else 1.0
-            before[k] = 0.0
-        for i in range(c):
+            marks[DONE, k], marks[BEFORE, k] = np.float32(-1.0) if k < count else NONE, NONE
+        for i in range(d):
             for k in range(BLOCK):
-                z[1 + i, k] = z_[1 + i, k]
-                done[k] = done[k] if abs(start[i, k]) < FARTHEST else 0.0
-        for step in range(1, BLOCK_STEPS + 1):
-            multiply(left, right, z, terms, c)
-            np.dot(shares, terms, bent)
-            for k in range(BLOCK):
-                moved[k] = 0.0
-            for i in range(c):
-                for k in range(BLOCK):
-                    change = start[i, k] - bent[i, k] - z[1 + i, k]
-                    size = abs(change)
-                    moved[k] = size if size > moved[k] else moved[k]
-                    z[1 + i, k] += change if done[k] < 0 else 0.0
-            going = 0
-            for k in range(BLOCK):
-                # the next step would be by this one's size times its part of the one before, and so on
-                near = SURE * moved[k] * moved[k] <= tolerance * before[k]
-                done[k] = step + SINGLE_STEPS if (done[k] < 0) & (near | (moved[k] <= ROUNDING)) else done[k]
-                before[k] = moved[k]
-                going += done[k] < 0
-            if going == 0:
+                marks[DONE, k] = marks[DONE, k] if abs(start[i * BLOCK + k]) < FARTHEST else NONE
+        for j in range(x.size):
+            start1[j] = start[j]
+            x1[j] = start1[j]
+        for step in range(SINGLE_STEPS):
+            now, then = (z1, x2) if step % 2 == 0 else (z2, x1)
+            last = step == SINGLE_STEPS - 1
+            then = change if last else then
+            sizes(now, d)
+            for j in range(x.size):
+                then[j] = NONE if last else start1[j]
+            subtract(left, right, coarse, now, then, plain)
+        for j in range(x.size):
+            x[j] = start[j] + change[j]
+        for step in range(STEPS):
+            exact = step % (1 + CHANGES) == 0
+            if exact:
+                sizes(z, d)
+                for j in range(x.size):
+                    rest[j] = start[j] - x[j]
+                subtract(left, right, shares, z, rest, False)
+                for i in range(d):
+                    for k in range(BLOCK):
+                        change[i * BLOCK + k] = rest[i * BLOCK + k] if marks[DONE, k] < NONE else NONE
+            else:
+                subtract(left, right, coarse, factors, change, changed)
+            if note(change, marks, tolerance, SINGLE_STEPS + step + 1, exact) <= late:
                 break
-        for i in range(c):
+            move(x, change, marks, factors)
+        for i in range(d):
+            to = scale[i]
             for k in range(BLOCK):
-                done[k] = done[k] if abs(z[1 + i, k]) < FARTHEST else 0.0  # run away, to NaN at last
-        for i in range(c):
+                found = x[i * BLOCK + k] + change[i * BLOCK + k]
+                marks[DONE, k] = marks[DONE, k] if abs(found) < FARTHEST else NONE  # run away
+                x[i * BLOCK + k] = found * to if marks[DONE, k] > NONE else np.nan
+        for h in range(y.shape[0]):
+            some, six = out[h, SIX * begin : SIX * (begin + count)], x[h * SIX * BLOCK :]
             for k in range(count):
-                out[first + k, i] = z[1 + i, k] * scale[i] if done[k] > 0 else np.nan
+                for i in range(SIX):
+                    some[SIX * k + i] = six[i * BLOCK + k]
+        part = steps[begin : begin + count]
         for k in range(count):
-            steps[first + k] = int(max(done[k], 0.0))
-    return out, steps
+            part[k] = np.int64(max(marks[DONE, k], NONE))

@@ -10,7 +10,7 @@ References
 
 from __future__ import annotations
 
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ from aerobalance.recording.channel import Array
 
 Codes = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
 
-TOLERANCE: Final = 1e-11
+TOLERANCE: Final = 3e-11
 """Error that the iteration may leave, over the scale of a variable."""
 
 LAST_STEP: Final = 1e-12
@@ -31,6 +31,12 @@ NEWTON_STEPS: Final = 30
 
 PLAIN_STEPS: Final = 200
 """Steps of the plain iteration of [R091]_ that then follow."""
+
+PART: Final = 1 << 15
+"""Samples after which those are found that need more steps, as long as all is still in a processor's memory."""
+
+PAGE: Final = 4096
+"""Bytes of a page of memory."""
 
 CHUNK: Final = 1 << 12
 """Samples that Newton's method takes at a time."""
@@ -55,13 +61,70 @@ FACTORS: Final = np.array(
 """The two factors of each kind of term, in the order of `aerobalance.balance.terms.KINDS`."""
 
 
-def _products(terms: Codes, c: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Rows of z = (1, x, abs(x), x^2) that are the factors of each term of c variables, shape (t,) each."""
+def _polynomials(terms: Codes, coefficients: Array, inverse: Array, unit: Array, scale: Array) -> kernels.Polynomials:
+    """Terms that are not linear and their coefficients (t, c) as the kernels take them."""
+    c, d = len(scale), _filled(len(scale), kernels.SIX)
     kinds, first, second = terms
     factors = FACTORS[kinds]
-    left = 1 + factors[:, 0] * c + first
-    right = np.where(factors[:, 1] == ONE, 0, 1 + factors[:, 1] * c + second)
-    return left, right
+    left = 1 + factors[:, 0] * d + first
+    right = np.where(factors[:, 1] == ONE, 0, 1 + factors[:, 1] * d + second)
+    none = np.zeros(_filled(left.size, kernels.THREE) - left.size, dtype=np.int64)
+    shares = _packed(inverse @ coefficients.T)
+    return kernels.Polynomials(
+        np.concatenate([left, none]),
+        np.concatenate([right, none]),
+        shares,
+        shares.astype(np.float32),
+        _packed(-inverse / unit),
+        np.concatenate([scale, np.zeros(d - c)]),
+    )
+
+
+def _packed(shares: Array) -> Array:
+    """Shares of terms, (c, t), six results and three terms together, filled with zeros: (s, g, 18)."""
+    (c, t), six, three = shares.shape, kernels.SIX, kernels.THREE
+    filled = np.zeros((_filled(c, six), _filled(t, three)))
+    filled[:c, :t] = shares
+    s, g = filled.shape[0] // six, filled.shape[1] // three
+    return np.ascontiguousarray(filled.reshape(s, six, g, three).transpose(0, 2, 1, 3)).reshape(s, g, six * three)
+
+
+def _filled(count: int, by: int) -> int:
+    """Return the least multiple that is not less than a count."""
+    return -(-count // by) * by
+
+
+def _memory(rows: int, d: int) -> kernels.Work:
+    """Memory for a block with that many factors of terms, and d variables."""
+    m = kernels.BLOCK
+    z, start, rest = _pages(rows * m), _pages(d * m), _pages(d * m)
+    z1, z2, factors = _pages(rows * m, single=True), _pages(rows * m, single=True), _pages(2 * rows * m, single=True)
+    z[:m] = z1[:m] = z2[:m] = factors[:m] = 1.0
+    places, ones, x = np.arange(1, 1 + d), np.zeros(d, dtype=np.int64), slice(m, (1 + d) * m)
+    return kernels.Work(
+        places,
+        ones,
+        z.reshape(rows, m),
+        z1.reshape(rows, m),
+        z2.reshape(rows, m),
+        factors.reshape(rows, 2 * m),
+        z[x],
+        z1[x],
+        z2[x],
+        start,
+        rest,
+        _pages(d * m, single=True),
+        _pages(d * m, single=True),
+        _pages(4 * m, single=True).reshape(4, m),
+    )
+
+
+def _pages(size: int, *, single: bool = False) -> NDArray[Any]:
+    """Zeros that begin at a page: what is read and written at once then keeps its distance within pages."""
+    kind = np.dtype(np.float32 if single else np.float64)
+    memory = np.zeros(size * kind.itemsize + PAGE, dtype=np.uint8)
+    begin = -memory.ctypes.data % PAGE
+    return memory[begin : begin + size * kind.itemsize].view(kind)
 
 
 def inverted(
@@ -97,22 +160,37 @@ def inverted(
     if not bent.any():
         x = y @ (inverse.T * scale / unit[:, None])
         return x, np.array(np.isfinite(x).all(axis=1), dtype=np.int64)
-    shares = np.ascontiguousarray(inverse @ coefficients[bent].T)
-    x, steps = kernels.invert(
-        *_products((terms[0][bent], terms[1][bent], terms[2][bent]), len(scale)),
-        shares,
-        shares.astype(np.float32),
-        inverse / unit,
-        scale,
-        np.ascontiguousarray(y),
-        TOLERANCE,
-    )
+    given = _polynomials((terms[0][bent], terms[1][bent], terms[2][bent]), coefficients[bent], inverse, unit, scale)
+    n, c, d, six = len(y), linear.shape[0], given.scale.size, kernels.SIX
+    filled = np.pad(y, ((0, 0), (0, d - c))) if c < d else y
+    found, steps = _by_blocks(given, np.ascontiguousarray(filled.reshape(n, d // six, six).transpose(1, 0, 2)))
+    x = found.transpose(1, 0, 2).reshape(n, d)[:, :c]
     left = np.flatnonzero(steps == 0)
     left = left[np.isfinite(y[left]).all(axis=1)]
     for start in range(0, left.size, CHUNK):
         part = left[start : start + CHUNK]
         found, steps[part] = _by_newton(terms, np.ascontiguousarray(coefficients), inverse, y[part] / unit)
         x[part] = found * scale
+    return x, steps
+
+
+def _by_blocks(given: kernels.Polynomials, y: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Variables at which polynomials are y (s, n, 6), and steps (n,), where the plain iteration finds them soon."""
+    s, n, _ = y.shape
+    d = given.scale.size
+    x, steps = np.empty(y.shape), np.empty(n, dtype=np.int64)
+    memory = _memory(1 + 3 * d if max(given.left.max(), given.right.max()) > d else 1 + d, d)
+    size = PART if s == 1 else max(n, 1)  # what is not in one piece would have to be copied
+    for start in range(0, n, size):
+        part = slice(start, start + size)
+        wanted, found, taken = y[:, part].reshape(s, -1), x[:, part].reshape(s, -1), steps[part]
+        kernels.invert(given, wanted, TOLERANCE, kernels.LATE if n > kernels.BLOCK else 0, memory, found, taken)
+        late = start + np.flatnonzero(taken == 0)
+        if n > kernels.BLOCK and late.size:
+            wanted, taken = np.ascontiguousarray(y[:, late]).reshape(s, -1), np.empty(late.size, dtype=np.int64)
+            found = np.empty(wanted.shape)
+            kernels.invert(given, wanted, TOLERANCE, 0, memory, found, taken)
+            x[:, late], steps[late] = found.reshape(s, -1, kernels.SIX), taken
     return x, steps
 
 
