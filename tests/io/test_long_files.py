@@ -31,8 +31,9 @@ from aerobalance.recording.errors import DataQualityWarning, FitError, ReadError
 from aerobalance.recording.recording import Recording
 from helpers.cable_cut import T128
 
-RATE = 5000.0
-SAMPLES, PART = 72_000, 40_960
+RATE = 1600.0
+"""Sampling rate, too slow for the forces to be worked out on a slower clock [Hz]."""
+SAMPLES, PART = 72_000, 32_768
 """Samples of a record, and of its parts in most of these tests."""
 
 
