@@ -88,6 +88,7 @@ def test_the_force_is_that_of_the_own_clock(rng) -> None:
     assert rms(found.uncertainty[calm]) == pytest.approx(rms(whole.uncertainty[calm]), rel=0.05)
     error = (found.values - truth)[calm]
     assert rms(error / found.uncertainty[calm]) == pytest.approx(1.0, abs=0.15)
+    assert found.method.startswith(f"on a clock {slow.working.every} times as slow as the record's, ")
     # the noise is that of a reading of the record; 110,000 of them tell it to 0.3 %, learned with the force to 1 %
     assert found.noise == pytest.approx(NOISE, rel=0.02)
     assert found.bandwidth == pytest.approx(whole.bandwidth, rel=0.05)

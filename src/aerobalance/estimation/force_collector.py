@@ -108,6 +108,8 @@ class SummaryOfParts:
         method = self._methods[0]
         if self._parts > 1:
             method = f"in {self._parts} parts, of which the first is by the {method}"
+        if self.every > 1:
+            method = f"on a clock {self.every} times as slow as the record's, {method}"
         return ForceSummary(
             component=self.component,
             method=method,
