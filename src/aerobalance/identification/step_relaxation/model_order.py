@@ -317,11 +317,12 @@ def missed(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> f
     """Frequency of what rings beside the modes fitted [Hz], or None.
 
     That of the narrow peak in the residuals, or rather of the mode that a motion with one more has and the fit lacks,
-    where the decays show it clearly: the residuals are that mode less what the others take of it.
+    where the decays show it clearly: the residuals are that mode less what the others take of it, and may have no peak
+    that is narrow.
     """
     peak = peak_of(fit, units, records)
     decays = decays_of(records, 0.0)
-    if peak is None or not decays or fit.internal >= MOST:
+    if not decays or fit.internal >= MOST:
         return peak
     quick = quick_guess(decays, rate=records[0].rate, internal=fit.internal + 1)
     count = sum(decay.size for decay in decays)
@@ -338,7 +339,9 @@ def missed(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> f
     ours = np.log(pairs(fit.motion)[1] * units.rate)
     rows, _ = linear_sum_assignment(np.abs(theirs[:, None] - ours))
     others = np.delete(theirs, rows)
-    return float(np.exp(others[0])) / (2 * np.pi) if others.size == 1 else peak
+    if others.size != 1 or _rings_before(fit, float(np.exp(others[0])) / units.rate, units, records):
+        return peak
+    return float(np.exp(others[0])) / (2 * np.pi)
 
 
 def peak_of(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> float | None:
