@@ -133,7 +133,7 @@ class BalanceDynamics(ABC):
         Raises
         ------
         ValueError
-            A transmission zero is unstable: an internal coordinate would grow without bound and no bridge show it.
+            A transmission zero is not stable: an internal coordinate would move for ever, and no bridge would show it.
         """
 
     @abstractmethod
