@@ -242,7 +242,7 @@ def _rows(path: Path, section: _Section, rows: list[tuple[int, str]], columns: _
         separator = columns.separator if columns.separator in row else separator_of(row)
         cells = _trimmed(split_line(row, separator))
         found = [number_in(cell, decimal=decimal) for cell in cells]
-        # a last row is cut off if it has too few cells, or its last cell is no number or shorter than in all rows before
+        # the last row is cut off if cells are missing, or its last one is no number or shorter than in all rows before
         final = columns.ends.last and index == len(rows) - 1
         short = len(cells) < len(columns.labels)
         if final and ((short and None not in found[:-1]) or (not columns.ends.whole and None not in found[:-1])):

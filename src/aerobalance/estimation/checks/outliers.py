@@ -117,9 +117,8 @@ def _doubts_of_channel(recording: Recording, channel: Channel, component: str) -
     """Doubts about a channel as a whole."""
     name, unit = channel.name, si_unit(component)
     angle = name in LARGEST
-    if (
-        not angle and channel.noise != 0 and is_dead(channel.values)
-    ):  # a channel without noise, as of a simulation, may be constant
+    # a channel without noise, as of a simulation, may be constant
+    if not angle and channel.noise != 0 and is_dead(channel.values):
         reading = float(channel.values[np.isfinite(channel.values)][0])
         text = f"{name} reads {reading:.6g} {channel.unit} in all {recording.samples} samples: the channel is dead"
         size = abs(reading) if name == component and reading else None  # all of the load may be wrong
