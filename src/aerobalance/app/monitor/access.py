@@ -81,7 +81,8 @@ class AccessPolicy:
     def host_allowed(self, host: str) -> bool:
         """Whether the Host header names this server.
 
-        Any other name is refused, as a foreign page may have its own name resolve to this address (DNS rebinding).
+        Other names are refused, as a foreign page may have its own name resolve to this address (DNS rebinding); an
+        address cannot do that, and is allowed where the server is not on the loopback.
         """
         name, port = _split(host)
         if port != (self.port if port else None) and port is not None:
