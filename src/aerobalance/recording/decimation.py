@@ -145,7 +145,17 @@ class Decimation:
             c series without gaps at the samples that `wanted` returns, shape (m, c).
         begin, end
             First sample of the slow clock, and the one after the last.
+
+        Raises
+        ------
+        ValueError
+            The record is shorter than the filter.
         """
+        if self.samples < 2 * SPAN * self.factor:
+            raise ValueError(
+                f"a record of {self.samples} samples is too short to be decimated by {self.factor}: "
+                f"{2 * SPAN * self.factor} are needed"
+            )
         own, factor = self.wanted(begin, end), self.factor
         places = self.before + factor * np.arange(begin, end)
         late = (own.start - self.before) % factor  # so that every factor-th sample of the block is one of the clock

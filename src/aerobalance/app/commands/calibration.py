@@ -87,13 +87,26 @@ def calibrate(
 
 
 def capacities_from(texts: Sequence[str]) -> dict[str, tuple[float, str]] | None:
-    """Capacities from the command line, ``N1=2500 lbf`` each: value and unit by component; None without any."""
-    capacities = {}
+    """Capacities from the command line, ``N1=2500 lbf`` each: value and unit by component; None without any.
+
+    Raises
+    ------
+    ValueError
+        A text is not of that form, its number is not positive and finite, or a component comes twice.
+    """
+    capacities: dict[str, tuple[float, str]] = {}
     for text in texts:
-        match = re.fullmatch(r"\s*([^=]+?)\s*=\s*([-+.\deE]+)\s*(\S.*?)\s*", text)
+        match = re.fullmatch(
+            r"\s*([^=]+?)\s*=\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?![.\deE])\s*(\S.*?)\s*", text
+        )
         if match is None:
             raise ValueError(f"--capacity must be like 'N1=2500 lbf', not {text!r}")
-        capacities[match[1]] = (float(match[2]), match[3])
+        name, value = match[1], float(match[2])
+        if not 0 < value < np.inf:
+            raise ValueError(f"--capacity {text!r}: a capacity must be positive and finite")
+        if name in capacities:
+            raise ValueError(f"--capacity gives {name} twice")
+        capacities[name] = (value, match[3])
     return capacities or None
 
 
@@ -253,8 +266,8 @@ def comparison_text(result: Result) -> str:
 
 
 def _interactions(matrix: BalanceMatrix, change: Array, u: Array) -> list[Result]:
-    """Interactions that have changed by more than three standard uncertainties, in the order of gauges and loads."""
-    return [
+    """Interactions that have changed by more than three standard uncertainties, the largest change first."""
+    found: list[Result] = [
         {
             "gauge": matrix.gauges[i],
             "load": matrix.components[j],
@@ -265,6 +278,7 @@ def _interactions(matrix: BalanceMatrix, change: Array, u: Array) -> list[Result
         for j in range(len(matrix.components))
         if i != j and abs(change[i, j]) > 3 * u[i, j]
     ]
+    return sorted(found, key=lambda one: -abs(one["change_percent_of_output_at_capacity"]))
 
 
 def _matrix_of(path: Path, model: Model) -> BalanceMatrix:
