@@ -2,7 +2,7 @@
 
     python docs/benchmarks.py [--rows build/benchmarks.json] [--before earlier.json] [--page docs/benchmarks.md]
 
-A file of earlier rows adds a column with what each ratio was.
+What ratios of a file of earlier rows were stands beside those of the same name, in the subjects that have some.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import argparse
 import json
 from itertools import groupby
 from pathlib import Path
+from typing import Any
 
 HERE = Path(__file__).parent
 
@@ -22,10 +23,16 @@ there and back, so that they are nearly the same on every machine. A ratio holds
 target of 0 is no more than a row to be read. This page is written by `python docs/benchmarks.py`.
 """
 
+BEFORE = """
+The column of {date} is what the same benchmarks measured then, at commit {commit}, when records were still smoothed
+sample by sample: accuracy before and after.
+"""
 
-def table(rows: list[dict[str, object]], before: dict[str, float]) -> str:
+
+def table(rows: list[dict[str, object]], before: dict[str, float], head: str) -> str:
     """Return the rows of one subject as a table in Markdown."""
-    heads = ["what", *(["before"] if before else []), "ratio", "target", "holds"]
+    before = before if any(row["name"] in before for row in rows) else {}
+    heads = ["what", *([head] if before else []), "ratio", "target", "holds"]
     lines = [heads, ["---"] * len(heads)]
     for row in rows:
         ratio, target = float(str(row["ratio"])), float(str(row["target"]))
@@ -40,12 +47,13 @@ def number(value: float | None) -> str:
     return "" if value is None else f"{value:.3g}"
 
 
-def page(rows: list[dict[str, object]], before: dict[str, float]) -> str:
+def page(rows: list[dict[str, object]], earlier: dict[str, Any]) -> str:
     """Return the page: a table for each subject, in the order of their names."""
     ordered = sorted(rows, key=lambda row: str(row.get("subject", "")))  # rows of a subject stay in their order
-    parts = [HEAD]
+    before, head = {row["name"]: row["ratio"] for row in earlier["rows"]}, f"on {earlier['date']}"
+    parts = [HEAD + (BEFORE.format(**earlier) if any(row["name"] in before for row in rows) else "")]
     for subject, group in groupby(ordered, key=lambda row: str(row.get("subject", ""))):
-        parts += [f"## {subject.rstrip('.')}\n", table(list(group), before) + "\n"]
+        parts += [f"## {subject.rstrip('.')}\n", table(list(group), before, head) + "\n"]
     return "\n".join(parts)
 
 
@@ -53,12 +61,12 @@ def main() -> None:
     """Write the page."""
     parser = argparse.ArgumentParser(description="Write the page of benchmarks.")
     parser.add_argument("--rows", type=Path, default=HERE.parent / "build" / "benchmarks.json")
-    parser.add_argument("--before", type=Path)
+    parser.add_argument("--before", type=Path, default=HERE / "benchmarks_before.json")
     parser.add_argument("--page", type=Path, default=HERE / "benchmarks.md")
     given = parser.parse_args()
-    earlier = json.loads(given.before.read_text(encoding="utf-8")) if given.before else []
+    earlier = json.loads(given.before.read_text(encoding="utf-8"))
     rows = json.loads(given.rows.read_text(encoding="utf-8"))
-    given.page.write_text(page(rows, {row["name"]: row["ratio"] for row in earlier}), encoding="utf-8")
+    given.page.write_text(page(rows, earlier), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -55,7 +55,7 @@ def test_the_command_writes_every_row(tmp_path: Path, earlier: bool) -> None:
     options = []
     if earlier:
         (tmp_path / "earlier.json").write_text(
-            json.dumps([{"name": "bound over error", "ratio": 0.8, "target": 0.95}])
+            json.dumps({"commit": "abc", "date": "today", "rows": [{"name": "bound over error", "ratio": 0.8}]})
         )
         options = ["--before", str(tmp_path / "earlier.json")]
     found = written(tmp_path, rows, *options)
@@ -67,4 +67,4 @@ def test_the_command_writes_every_row(tmp_path: Path, earlier: bool) -> None:
     assert [row["ratio"] for row in found] == ["0.9", "2.35", "12"]
     assert [row["holds"] for row in found] == ["**no**", "yes", ""]
     if earlier:
-        assert [row["before"] for row in found] == ["0.8", "", ""]
+        assert [row.get("on today") for row in found] == ["0.8", None, None]

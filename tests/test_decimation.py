@@ -115,3 +115,9 @@ def test_the_estimate_beside_an_end_is_the_best(rng: np.random.Generator) -> Non
     assert (least > 0).all()
     for _ in range(5):
         assert (error(weights + 0.01 * rng.normal(size=weights.shape)) > least).all()
+
+
+def test_a_record_shorter_than_the_filter_is_refused() -> None:
+    decimation = Decimation(8, 2 * SPAN * 8 - 1)
+    with pytest.raises(ValueError, match="too short to be decimated by 8"):
+        decimation.decimated(np.zeros((decimation.samples, 1)), 0, decimation.count)

@@ -31,8 +31,9 @@ from aerobalance.simulation.six_signals import Band, broadband
 
 RATE = 5000.0
 BALANCES = 12
-RIGID = 30
-GUSTS = 6
+LEAST = BALANCES - 1  # of 60 balances with two modes all were found: below 5 % are missed, and two of twelve seldom
+RIGID = 20
+GUSTS = 4
 SHARES = (0.03, 0.08)
 PLACES = (0.5, 1.5)
 """Frequencies of the further mode over the highest of the six."""
@@ -134,8 +135,8 @@ def like_one_split(true: CoupledDynamics, *, half_range: Array) -> bool:
 
 @pytest.mark.parametrize("further", [1, 2])
 def test_modes_beyond_six_are_found(further, record, rng) -> None:
-    modes, responses, forces, rigidity, found = [], [], [], [], 0
-    for _ in range(BALANCES):
+    modes, responses, forces, gusts, found = [], [], [], [], 0
+    for number in range(BALANCES):
         balance, true = bent(rng, modes=further)
         fit = identified(balance, released(balance, true, rng))
         if fit.dynamics.internal != further:
@@ -152,15 +153,15 @@ def test_modes_beyond_six_are_found(further, record, rng) -> None:
         modes.append(float(np.mean(scores_of_modes(fit, true) ** 2)))
         responses.append(float(np.mean(scores_of_response(fit.dynamics, true) ** 2)))
         forces.append(float(np.mean((true_force_error(fit.dynamics, true, sizes=fit.applied) / fit.force_error) ** 2)))
-        if fit.rigid is not None and fit.rigid.rigidity is not None:
-            rigidity.append(fit.rigid.rigidity.chi2)
+        if number < GUSTS:
+            gusts.append(error_in_a_gust(balance, true, fit, rng))
     what = f"{further} further mode{'s' * (further > 1)}"
     record(
         f"balances of 12 with {what} of 3-8 % of the loads that are found, or named where one is like another split",
         found / BALANCES,
-        1.0,
+        LEAST / BALANCES,
     )
-    assert found >= BALANCES - 1
+    assert found >= LEAST
     # that many nearly independent numbers a balance
     degrees = 2 * (6 + further) * len(modes)
     low, high = (float(np.sqrt(q / degrees)) for q in (chi2.ppf(1e-5, degrees), chi2.isf(1e-5, degrees)))
@@ -177,6 +178,30 @@ def test_modes_beyond_six_are_found(further, record, rng) -> None:
         rms = float(np.sqrt(np.mean(values)))
         record(f"{name} with {what}: rms z-score within its bound by chance", min(high / rms, rms / low), 1.0)
         assert low < rms < high, name
+    rms, high = float(np.sqrt(np.mean(gusts))), float(np.sqrt(chi2.isf(1e-5, len(gusts)) / len(gusts)))
+    record(f"force with {what}: bound by chance over its error to that by the true and u", high / rms, 1.0)
+    assert rms < high, gusts
+
+
+def error_in_a_gust(
+    balance: CoupledBalance, true: CoupledDynamics, fit: CoupledIdentification, rng: np.random.Generator
+) -> float:
+    """Square of the force's error by what releases gave in a gust through all modes, over what is predicted of it.
+
+    Noise of the run and errors of the dynamics are independent of each other, so that the square of the error is that
+    with the true dynamics and the predicted square together, u^2, on average. The errors of one balance hang together:
+    at worst one normal deviate makes all of them, and the mean over the balances is chi2 over their number or less.
+    """
+    highest, sizes = true.modes[-1].natural_frequency, 0.1 * balance.half_range
+    load = broadband(rng, Band(0, 1.1 * highest), rms=sizes, period=1.0)
+    run = SixComponentRig(balance, applied=load, output="loads", dynamics=true).run(0.5, rng)
+    found, best = (
+        force_error(run, estimate_force(run.recording, dynamics, bandwidth=1.4 * highest)) / balance.half_range
+        for dynamics in (fit.dynamics, true)
+    )
+    weights = force_weights(fit.dynamics, sizes=sizes, band=(0, 1.1 * highest))
+    u = error_of(fit.dynamics.covariance, weights) / balance.half_range
+    return float(found @ found / (best @ best + u @ u))
 
 
 def test_six_modes_alone_cost(record, rng) -> None:
@@ -199,6 +224,7 @@ def test_six_modes_alone_cost(record, rng) -> None:
     record("force error with six modes alone over that with the seventh, over 5", float(np.median(gains)) / 5, 1.0)
     record("frequency of the mode that six lack, where it is named: 1 % over the worst error", 0.01 / max(far), 1.0)
     record("fits of six modes alone, of 4, that name the mode that they lack", 1 - silent / 4, 1.0)
+    assert not silent
     assert np.median(gains) > 5
     assert max(far) < 0.01, far  # a first guess without noise to speak of, four digits printed
 
@@ -218,40 +244,6 @@ def test_rigid_models_have_six_modes(record, rng) -> None:
         kept += fit.dynamics.internal == 0 and not any("bends" in note for note in fit.notes)
     record(f"rigid balances of {RIGID} with six modes found, none named beyond", kept / RIGID, 1.0)
     assert kept == RIGID
-
-
-@pytest.mark.parametrize("further", [1, 2])
-def test_the_force_with_bending_modes(further, record, rng) -> None:
-    """A gust through all modes: the force by what releases gave, against the truth and what is predicted of it.
-
-    Noise of the run and errors of the dynamics are independent of each other, so that the square of the error is that
-    with the true dynamics and the predicted square together, u^2, on average. The errors of one balance hang together:
-    at worst one normal deviate makes all of them, and the mean over the balances is chi2 / BALANCES or less.
-    """
-    squares, lacking_some = [], 0
-    for _ in range(GUSTS):
-        balance, true = bent(rng, modes=further)
-        fit = identified(balance, released(balance, true, rng))
-        if fit.dynamics.internal != further:  # which is said
-            assert re.search(r"ring near ([\d.]+) Hz ", fit.notes[0]), fit.notes
-            lacking_some += 1
-            continue
-        highest, sizes = true.modes[-1].natural_frequency, 0.1 * balance.half_range
-        load = broadband(rng, Band(0, 1.1 * highest), rms=sizes, period=1.0)
-        run = SixComponentRig(balance, applied=load, output="loads", dynamics=true).run(0.5, rng)
-        found, best = (
-            force_error(run, estimate_force(run.recording, dynamics, bandwidth=1.4 * highest)) / balance.half_range
-            for dynamics in (fit.dynamics, true)
-        )
-        weights = force_weights(fit.dynamics, sizes=sizes, band=(0, 1.1 * highest))
-        u = error_of(fit.dynamics.covariance, weights) / balance.half_range
-        squares.append(float(found @ found / (best @ best + u @ u)))
-    rms, high = float(np.sqrt(np.mean(squares))), float(np.sqrt(chi2.isf(1e-5, len(squares)) / len(squares)))
-    what = f"{further} further mode{'s' * (further > 1)}"
-    record(f"force with {what}: bound by chance over its error to that by the true and u", high / rms, 1)
-    record(f"balances of {GUSTS} with {what} that are found for the force", 1 - lacking_some / GUSTS, 1.0)
-    assert rms < high, squares
-    assert lacking_some <= 1
 
 
 def force_error(run: SixSimulation, force: dict[str, ComponentForce]) -> Array:

@@ -1,8 +1,8 @@
-"""The dynamics of a balance of n components: one linear model from forces applied to loads felt, n x n.
+"""The dynamics of a balance of n components: one linear model from applied forces to balance loads, n x n.
 
-Coupled components have it by matrices (`aerobalance.dynamics.coupled`); components that are not coupled, each by its
-own mass, stiffness and damping, are the case whose rows are apart already (`aerobalance.dynamics.independent`), and
-one component is n = 1 of it. What works with forces takes this model and does not ask which.
+Coupled components are described by matrices (`aerobalance.dynamics.coupled`). Components that are not coupled, each
+with its own mass, stiffness and damping, are the case of diagonal matrices (`aerobalance.dynamics.independent`), and
+one component is that case with n = 1. The estimators use this interface only and need not know which case it is.
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ from aerobalance.recording.channel import Array
 
 
 class ForceSlopes(NamedTuple):
-    """What the parameters of the dynamics do to the force of one component.
+    """Sensitivity of the force of one component to the parameters of the dynamics, and their covariance.
 
     Attributes
     ----------
     slopes
-        Change of the force with each of p parameters, over each of n forces applied, at m frequencies, (m, p, n).
+        Derivative of the force by each of p parameters, per unit of each of n applied forces, at m frequencies,
+        shape (m, p, n).
     covariance
         Covariance of these parameters, shape (p, p).
     """
@@ -36,9 +37,9 @@ class ForceSlopes(NamedTuple):
 
 
 class BalanceDynamics(ABC):
-    """Dynamics of n components.
+    """Linear dynamics of a balance of n components.
 
-    Rows and columns of all matrices are in the order of the components; s is i times the angular frequency.
+    Rows and columns of all matrices are in the order of the components.
     """
 
     __slots__ = ()
@@ -55,7 +56,7 @@ class BalanceDynamics(ABC):
 
     @property
     def leading_frequencies(self) -> tuple[float, ...]:
-        """Natural frequencies of the modes without the further ones of a component that is not coupled [Hz]."""
+        """Natural frequencies of the modes [Hz], only the first one of each component where they are not coupled."""
         return tuple(mode.natural_frequency for mode in self.modes)
 
     @property
@@ -66,24 +67,24 @@ class BalanceDynamics(ABC):
     @property
     @abstractmethod
     def zeros(self) -> NDArray[np.complex128]:
-        """Motions in which no component shows anything: poles of the inverse response [rad/s]."""
+        """Transmission zeros of the response, which are the poles of the inverse response [rad/s]."""
 
     @abstractmethod
     def response(self, frequency: Array) -> NDArray[np.complex128]:
-        """Loads felt over forces applied at frequencies of shape (m,) [Hz], shape (m, n, n)."""
+        """Frequency response, balance loads over applied forces, shape (m, n, n), at m frequencies [Hz]."""
 
     @abstractmethod
     def inverse_response(self, frequency: Array) -> NDArray[np.complex128]:
-        """Forces applied over loads felt at frequencies of shape (m,) [Hz], shape (m, n, n)."""
+        """Inverse response, applied forces over balance loads, shape (m, n, n), at m frequencies [Hz]."""
 
     @abstractmethod
     def force_slopes(self, frequency: Array) -> Iterator[ForceSlopes]:
-        """What the parameters do to the forces at frequencies of shape (m,) [Hz], one component after the other."""
+        """Sensitivity of each component's force to the parameters, at m frequencies [Hz], in the components' order."""
 
     @property
     @abstractmethod
     def quadratic(self) -> tuple[Array, Array]:
-        """D [s] and A [s^2] of F = X + D X' + A X'', shape (n, n) each; without what further modes add to it."""
+        """Matrices D [s] and A [s^2] of F = X + D X' + A X'', shape (n, n) each, without terms of further modes."""
 
     # ---- the mass that gravity and the motion of the ground end act on
 
@@ -95,7 +96,7 @@ class BalanceDynamics(ABC):
     @property
     @abstractmethod
     def mass_rows(self) -> Array:
-        """Loads by a unit of each acceleration of the ground end, shape (n, 6); zero for one that is not known."""
+        """Balance loads per unit of each acceleration of the ground end, shape (n, 6); zero for one without a mass."""
 
     @property
     @abstractmethod
@@ -110,11 +111,11 @@ class BalanceDynamics(ABC):
     @property
     @abstractmethod
     def row_covariance(self) -> Array:
-        """Covariance of a row of A, of D and of `mass_rows`, one behind the other, shape (n, 2n + 6, 2n + 6)."""
+        """Covariance of the concatenated rows of A, D and `mass_rows`, by component, shape (n, 2n + 6, 2n + 6)."""
 
     @abstractmethod
     def weight(self, name: str, *, pitch: Array, roll: Array, gravity: float) -> Array:
-        """Weight along a component [N, N*m], shape (n,), at attitudes of shape (n,) [rad]; zero without a mass."""
+        """Weight along a component [N, N*m] at attitudes [rad], shape (m,) each; zero where no mass is known."""
 
     # ---- one component after the other
 
@@ -125,19 +126,19 @@ class BalanceDynamics(ABC):
         Parameters
         ----------
         component
-            Which of them.
+            Name of the component.
         noise
             Covariance of the noise of a reading, shape (n, n) [N^2, N^2*m, N^2*m^2]; the ratios are what matters.
 
         Raises
         ------
         ValueError
-            An internal coordinate moves without end while no component shows anything.
+            A transmission zero is not stable: an internal coordinate would move for ever, and no bridge would show it.
         """
 
     @abstractmethod
     def own_response(self, component: str) -> ModalModel:
-        """One component's reading under its own force alone: every mode with its share of a steady load.
+        """Response of one component's reading to its own force alone: all modes with their modal contributions.
 
         Raises
         ------
@@ -147,15 +148,15 @@ class BalanceDynamics(ABC):
 
     @property
     def blocks(self) -> tuple[BalanceDynamics, ...]:
-        """Parts that have nothing to do with each other."""
+        """Groups of components that are not coupled with each other."""
         return (self,)
 
     def block_of(self, component: str) -> BalanceDynamics:
-        """Return the part that a component belongs to."""
+        """Return the group of coupled components that a component belongs to."""
         return next(block for block in self.blocks if component in block.components)
 
     def estimable(self, names: Collection[str]) -> tuple[str, ...]:
-        """Return the components whose force can be worked out from channels of these names."""
+        """Return the components whose force can be estimated: all components of their group are among `names`."""
         return tuple(name for block in self.blocks if set(block.components) <= set(names) for name in block.components)
 
     # ---- what is not known exactly
@@ -163,7 +164,7 @@ class BalanceDynamics(ABC):
     @property
     @abstractmethod
     def parameter_values(self) -> Array:
-        """Values of the parameters but for those of `mass`, shape (p,)."""
+        """Values of the parameters without those of `mass`, shape (p,)."""
 
     @property
     @abstractmethod
@@ -172,7 +173,7 @@ class BalanceDynamics(ABC):
 
     @abstractmethod
     def with_parameters(self, values: Array, mass: RigidMass | None = None) -> Self:
-        """Return the same with other values of the parameters, shape (p,), known exactly, and with this mass.
+        """Return the dynamics with other parameter values, shape (p,), taken as exact, and with this mass.
 
         Raises
         ------
@@ -183,17 +184,17 @@ class BalanceDynamics(ABC):
     @property
     @abstractmethod
     def exact(self) -> Self:
-        """The same, taken as known exactly."""
+        """The dynamics with parameters that are taken as exact: their covariance is zero."""
 
     @property
     def calibration(self) -> str | None:
-        """SHA-256 of the balance matrix whose calibration left in the parameters what is not in `covariance`.
+        """SHA-256 of the balance matrix whose calibration errors act on the parameters and are not in `covariance`.
 
-        It is empty where that is not known, and None where there is nothing of that kind.
+        It is empty where that matrix is not known, and None where the parameters have no such errors.
         """
         return None
 
     @property
     def with_calibration(self) -> BalanceDynamics:
-        """The same with all that is not known in `covariance`: what does not know that calibration needs it."""
+        """The dynamics with errors of the calibration in `covariance`, for use without that balance matrix."""
         return self

@@ -1,4 +1,4 @@
-"""A recording of components that are not coupled, made ready for the estimator of one component."""
+"""Records of single components of a recording whose components are not coupled, as the estimator takes them."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ class SingleRecord(ComponentRecord):
     Attributes
     ----------
     dynamics
-        The balance.
+        Dynamics of the component.
     motion
-        The ground's motion.
+        Motion of the ground end along the component.
     place
         Row of the component among those of its record.
     """
@@ -55,12 +55,12 @@ class SingleRecord(ComponentRecord):
     def of(
         cls, recording: Recording, dynamics: Dynamics, motion: GroundMotion, *, noise: NoiseSpectrum | None = None
     ) -> SingleRecord:
-        """Return the record of a recording as it was written: what its channels' filters have done is undone first."""
+        """Return the record of a recording as it was written; the effect of its channels' filters is removed."""
         return cls(corrected(recording), dynamics, motion, noise=noise)
 
     @property
     def input_noise(self) -> float:
-        """White noise of the ground's motion as a force per sample [N]."""
+        """Standard deviation of the white noise of the ground's motion, as a force on the moving mass [N]."""
         return self.dynamics.mass * self.motion.noise
 
     @property
@@ -72,12 +72,12 @@ class SingleRecord(ComponentRecord):
 
     @property
     def assumptions(self) -> tuple[str, ...]:
-        """What had to be taken as zero because the recording does not have it."""
+        """Quantities that are taken as zero because the recording does not contain them, in words."""
         return self.motion.assumptions
 
     @property
     def from_ground(self) -> Array:
-        """Load that the ground's motion alone makes the balance feel, shape (n,) [N]."""
+        """Balance load due to the ground's motion alone, at the instants of the load's channel, shape (n,) [N]."""
         delay = self.recording.channel(self.dynamics.component).delay
         return load_from_ground(self.motion, self.dynamics, rate=self.recording.rate, load_delay=delay)
 
@@ -92,21 +92,24 @@ class SingleRecord(ComponentRecord):
 
     @property
     def rows(self) -> NDArray[np.intp]:
-        """All parameters of its dynamics."""
+        """Indices of the parameters that act on the reading: all of its dynamics."""
         return np.arange(len(self.dynamics.parameters))
 
     def reading_of(self, felt: Array) -> Array:
-        """The load felt along the component, shape (samples,) [N]."""
+        """The balance load along the component, shape (samples,) [N]."""
         return np.asarray(felt[:, self.place])
 
     @property
     def hides_motion(self) -> NDArray[np.bool_]:
-        """Nowhere: what a gap hides is found by the load."""
+        """False everywhere: ground motion in a gap is estimated from the load, shape (n,)."""
         return np.zeros(self.recording.samples, dtype=bool)
 
     @property
     def motion_across(self) -> tuple[Array, str] | None:
-        """What the accelerometer would read of a motion across its axis, if as much moves there as along it."""
+        """Cross-axis error [m/s^2] for as much motion across the axis as along it, and the name of its channel.
+
+        None where there is no accelerometer, where its cross-axis sensitivity is stated, or where nothing moves.
+        """
         names = (acceleration_name("ground", self.dynamics.component), "ground_acceleration")
         channel = next((self.recording.channel(name) for name in names if name in self.recording), None)
         if channel is None or channel.cross_axis or not np.ptp(self.motion.specific_force) > 0:
@@ -115,12 +118,12 @@ class SingleRecord(ComponentRecord):
         return values - values.mean(), channel.name
 
     def with_motion(self, change: Array) -> SingleRecord:
-        """The same record with so much added to the specific force of the ground, shape (n,) [m/s^2]."""
+        """The record with `change` added to the specific force of the ground, shape (n,) [m/s^2]."""
         motion = replace(self.motion, specific_force=self.motion.specific_force + change)
         return replace(self, motion=motion)
 
     def with_dynamics(self, other: Dynamics) -> SingleRecord:
-        """The same record with other dynamics, whose mass has another weight in the zero that the load counts from."""
+        """The record with other dynamics, its readings shifted by the change of the weight in their zero."""
         shift = (other.mass - self.dynamics.mass) * self.motion.gravity_on_zero
         channel = self.recording.channel(self.dynamics.component)
         moved = replace(channel, values=channel.values + shift)
@@ -135,10 +138,10 @@ class SingleRecord(ComponentRecord):
         *,
         few: bool = False,
     ) -> Systematic:
-        """Return the error of the force from errors of the parameters [N]: each is changed, and the method run again.
+        """Return the error of the force from errors of the parameters [N], by finite differences of the estimator.
 
-        The slopes of Eq. (17) of [Gorbushin2020]_ would say too much where the smoother's prior has no force at a
-        frequency, and too little where a wrong frequency makes a wrong step.
+        The derivatives of Eq. (17) of [Gorbushin2020]_ would be too large where the smoother's prior has no force at
+        a frequency, and too small where a wrong natural frequency makes a wrong step.
         """
         d = self.dynamics
         slopes = np.zeros((self.recording.samples, len(d.parameters)))
@@ -153,21 +156,24 @@ class SingleRecord(ComponentRecord):
         return Systematic(PARAMETERS_NAME, "dynamics", d.parameters, slopes, d.covariance)
 
     def felt_under(self, item: SystematicParameter) -> Array:
-        """Load felt under a unit of an unknown of the ground's motion, shape (n,)."""
+        """Balance load per unit of an uncertain parameter of the ground's motion, shape (n,)."""
         unit, delay = replace(self.motion, specific_force=item.slope), self.recording.channel(self.dynamics.component)
         return load_from_ground(unit, self.dynamics, rate=self.recording.rate, load_delay=delay.delay)
 
     def as_force(self, item: SystematicParameter) -> Array:
-        """Force that a unit of an unknown of the ground's motion is taken for by a direct inverse, shape (n,)."""
+        """Error of the force of a direct inverse per unit of an uncertain parameter of the motion, shape (n,)."""
         return self.dynamics.mass * item.slope
 
     @property
     def unknowns(self) -> tuple[SystematicParameter, ...]:
-        """What holds along the ground's motion and is not known exactly."""
+        """Systematic parameters of the ground's motion that are not known exactly."""
         return self.motion.unknowns
 
     def reading_errors(self, values: Array, through: Through) -> list[Contribution]:
-        """Gain and zero of the load's channel: a gain acts on all that the readings say of the net force."""
+        """Errors of the force from gain and zero of the load's channel [N].
+
+        A gain error is proportional to the net force: the applied one and that of the ground's motion.
+        """
         channel = self.recording.channel(self.dynamics.component)
         net = values + self.motion.force(self.dynamics.mass)
         unknown = (
@@ -182,7 +188,10 @@ class SingleRecord(ComponentRecord):
 
 
 def moves_along_axis(record: ComponentRecord) -> TypeGuard[SingleRecord]:
-    """Return whether the ground's motion is that along the component's own axis: its load tells it then."""
+    """Return whether the ground's motion is described along the component's own axis only.
+
+    Then motion that a gap hides can be estimated from the load.
+    """
     return isinstance(record, SingleRecord)
 
 
@@ -197,7 +206,7 @@ class IndependentRecord(BalanceRecord):
     dynamics
         Dynamics of the components that are in it.
     motions
-        What the ground end does along each of them.
+        Motion of the ground end along each of them.
     """
 
     recording: Recording
@@ -213,7 +222,7 @@ class IndependentRecord(BalanceRecord):
         gravity: float = STANDARD_GRAVITY,
         gravity_uncertainty: float = 0.0,
     ) -> IndependentRecord:
-        """Take those of the components that are in a recording as it was written.
+        """Return the record of those components that a recording, as it was written, contains.
 
         Raises
         ------
@@ -230,18 +239,18 @@ class IndependentRecord(BalanceRecord):
 
     @property
     def from_ground(self) -> Array:
-        """Loads felt under gravity and the ground's motion alone, on the clock, shape (samples, n) [N]."""
+        """Balance loads due to gravity and the ground's motion alone, on the clock, shape (samples, n) [N]."""
         parts = [(self.motions[name], part) for name, part in self.dynamics.items()]
         return np.column_stack([load_from_ground(*one, rate=self.recording.rate) for one in parts])
 
     @property
     def motion_covariance(self) -> Array:
-        """Covariance of the white noise of the ground's motion as a load per sample, shape (n, n)."""
+        """Covariance of the white noise of the ground's motion, as a load, shape (n, n) [N^2]."""
         return np.diag([(part.mass * self.motions[name].noise) ** 2 for name, part in self.dynamics.items()])
 
     @property
     def decoupled(self) -> tuple[DecoupledChannel, ...]:
-        """Each component by its own reading."""
+        """Decoupled channels: each component by its own reading."""
         none = np.zeros((len(self.dynamics), len(self.dynamics)))
         return tuple(self.dynamics.decoupled(name, noise=none) for name in self.dynamics)
 
@@ -250,11 +259,14 @@ class IndependentRecord(BalanceRecord):
         return bool(self.dynamics[component].covariance.any())
 
     def filled_by(self, forces: Mapping[str, Array], *, filled: Array) -> Array:
-        """The readings as they are filled: nothing is filled, as no force needs it."""
+        """Return `filled` unchanged: no force needs the readings of another component in a gap."""
         return filled
 
     def taken_with(self, dynamics: IndependentDynamics, *, noise: Array | None = None) -> IndependentRecord:
-        """The same record with other dynamics of some of its components; no force depends on the noise of others."""
+        """The record with other dynamics, of all of its components or of those that are still needed.
+
+        `noise` has no effect, as no force depends on the noise of other components.
+        """
         channels = dict(self.recording.channels)
         for name, part in dynamics.items():
             channels[name] = self.component_record(name).with_dynamics(part).recording.channel(name)
@@ -268,7 +280,7 @@ class IndependentRecord(BalanceRecord):
         noise: NoiseSpectrum | None = None,
         shared: SharedNoise | None = None,
     ) -> SingleRecord:
-        """One component made ready, its gaps left as they are."""
+        """The record of one component, its gaps not filled; `filled` has no effect."""
         return SingleRecord(
             self.recording,
             self.dynamics[component],

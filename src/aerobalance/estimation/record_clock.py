@@ -1,7 +1,7 @@
-"""Forces that were worked out on a slower clock, back on the clock of their record.
+"""Forces that were estimated on a slower clock, interpolated to the clock of their record.
 
-Beside its steps such a force is band-limited, and its samples on the slower clock are all of it: the steps are taken
-off, the rest is interpolated, and the steps are put back where they are between the samples.
+Without its steps such a force is band-limited, so that its samples on the slower clock determine it: the steps are
+subtracted, the rest is interpolated, and the steps are added again at their instants, which may lie between samples.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from aerobalance.recording.decimation import BETWEEN
 
 @dataclass(slots=True, eq=False)
 class RecordClock:
-    """Puts the parts of a force on the clock of their record, one after the other.
+    """Interpolates the parts of a force to the clock of their record; they must be given in their order.
 
     Attributes
     ----------
@@ -30,10 +30,11 @@ class RecordClock:
     """
 
     record: DecimatedRecord
+    # last values and uncertainties of the part before, by component: the interpolation needs them at the joint
     _before: dict[str, tuple[Array, Array]] = field(default_factory=dict)
 
     def sampled(self, given: ForcePart) -> ForcePart:
-        """Return a part with its force on the record's own clock too."""
+        """Return a part with its force on the record's own clock as well [N, N*m]; parts in their order."""
         force = given.force
         if force is None:
             return given
@@ -50,7 +51,7 @@ class RecordClock:
             u, after = given.uncertainty[name], (force[name].values[context], force[name].uncertainty[context])
             values, uncertainty = (np.concatenate(parts) for parts in zip(before, (value, u), after, strict=True))
             begin = first - before[0].size
-            found[name] = self._between(values, uncertainty, steps, first=first, stop=stop, begin=begin)
+            found[name] = self._on_record_clock(values, uncertainty, steps, first=first, stop=stop, begin=begin)
             self._before[name] = value[-BETWEEN:].copy(), u[-BETWEEN:].copy()
         span = decimation.span(first, stop)
         late = decimation.before / (self.record.rate * self.record.every)
@@ -64,10 +65,13 @@ class RecordClock:
             clock=self.record.clock(span.start, span.stop),
         )
 
-    def _between(
+    def _on_record_clock(
         self, values: Array, uncertainty: Array, steps: Sequence[Step], *, first: int, stop: int, begin: int
     ) -> SampledForce:
-        """Force and uncertainty from a sample of the slower clock to another, of those from `begin` on."""
+        """Force and standard uncertainty for samples `first` to `stop` (excluded) of the slower clock [N, N*m].
+
+        `values` and `uncertainty` begin at its sample `begin`; instants of `steps` are in its time, from zero on [s].
+        """
         record, decimation = self.record, self.record.decimation
         clock = (begin + np.arange(values.size)) / record.rate
         near = [one for one in steps if one.instant <= clock[-1] and one.instant + one.duration >= clock[0]]
@@ -77,17 +81,21 @@ class RecordClock:
             variance -= side_variance(one, clock, height=one.height, interval=1 / record.rate)
         force = decimation.interpolated(smooth, first, stop, first=begin)
         start = decimation.span(first, stop).start
-        # on the slower clock, whose first sample is that many of the record later
+        # counted from the first sample of the slower clock, which is `before` samples of the record after its first
         time = (start - decimation.before + np.arange(force.size)) / (record.rate * record.every)
-        whole = _between(time, clock, np.sqrt(np.maximum(variance, 0.0))) ** 2
+        whole = _interpolated_linearly(time, clock, np.sqrt(np.maximum(variance, 0.0))) ** 2
         for one in near:
             force += one.height * shape_at(one, time)
             whole += side_variance(one, time, height=one.height, interval=1 / (record.rate * record.every))
         return SampledForce(start, record.every, force, np.sqrt(whole))
 
 
-def _between(time: Array, clock: Array, values: Array) -> Array:
-    """Values at times by straight lines, which go on beyond the ends where they rise, shape (n,)."""
+def _interpolated_linearly(time: Array, clock: Array, values: Array) -> Array:
+    """Values at given times by linear interpolation, shape (n,).
+
+    Beyond an end, values that rise towards it are extrapolated; others stay constant, as an uncertainty does not
+    become smaller where the samples end.
+    """
     found = np.interp(time, clock, values)
     for end, inner in ((0, 1), (-1, -2)):
         rise = (values[end] - values[inner]) / (clock[end] - clock[inner])

@@ -1,11 +1,11 @@
-"""The likelihood of a step at any instant of a part of a record, for the price of a few whitened columns.
+"""The likelihood of a step at any instant of a part of a record, from a few whitened columns.
 
-After the force has changed, the balance swings freely: a constant and its modes, whatever the instant was; while it
-changes evenly, a straight line is added. So every response is a sum of these few shapes from the samples on at which
-the change begins and ends. The steady filter does not change with time: the shapes are whitened once, and shifted, and
-what the start of the record has of them is taken off. Beside gaps a response is a sum of single samples, as long as
-the force may be changing, and of the shapes from then on, which are whitened together; each instant and duration that
-is tried then takes a sum of squares of some thirty numbers.
+After a step of the force, the response of the balance is a constant and free motions of its modes, whatever the
+instant was; during a ramp, a straight line is added. So every response is a linear combination of these few shapes,
+beginning at the samples at which the change begins and ends. The steady-state filter is time-invariant: the shapes are
+whitened once and shifted, and the transient of the initial state is subtracted. Beside gaps a response is a linear
+combination of unit impulses, for as long as the force may be changing, and of the shapes from then on, all whitened
+together; each instant and duration tried then takes a quadratic form of some thirty numbers.
 """
 
 from __future__ import annotations
@@ -25,16 +25,17 @@ MARGIN: Final = 28
 """Samples after the last instant expected in which the force may still change: the longest ramp tried and more."""
 
 MOST_SAMPLES: Final = 512
-"""Samples in which the force may be changing, up to which they are taken one by one."""
+"""Largest number of samples in which the force may be changing for which unit impulses are whitened; beyond it each
+response is whitened by itself."""
 
 TOGETHER: Final = 64
-"""Columns that are whitened together: the filter needs several times their room beside them."""
+"""Columns that are whitened together: the filter needs several times their memory."""
 
 POINTS: Final = 16
-"""Samples, over the number of shapes, at which the shapes of a free motion are fitted to it."""
+"""Number of samples at which the shapes are fitted to a response, over the number of shapes."""
 
 SAME_POLE: Final = 1e-4
-"""Angle by which two poles of a mode part within the window, below which they are one [rad]."""
+"""Difference of the two poles of a mode times the length of the window, below which they are a double pole [1]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,17 +45,18 @@ class ShiftedShapes:
     Attributes
     ----------
     reading
-        The part of a record that is looked at.
+        The part of a record in which a step is sought.
     whitened
-        The shapes from the first sample on by the steady filter, shape (s, n); those that begin later are the same.
+        The shapes that begin at the first sample, whitened by the steady-state filter, shape (s, n); those that begin
+        later are these, shifted.
     times
-        Instants at which a sum of shapes is fitted to a response, from its first sample on, shape (p,) [s].
+        Instants at which the shapes are fitted to a response, from its first sample on, shape (p,) [s].
     fit
-        Makes the sizes of the shapes from the response there, shape (s, p).
+        Matrix that gives the coefficients of the shapes from the response at `times`, shape (s, p).
     start
-        What the initial state that is not known shows in the whitened readings, orthogonal and of length 1, (r, m).
+        Orthonormal directions of the unknown initial state in the first m whitened readings, shape (r, m).
     lost
-        Share of each that the readings do not tell, as the initial state may have made it, shape (r,).
+        Share of each direction that is lost, as the initial state explains it as well, shape (r,) [1].
     """
 
     reading: Observation
@@ -66,7 +68,7 @@ class ShiftedShapes:
 
     @classmethod
     def of(cls, reading: Observation, filter_: KalmanFilter) -> ShiftedShapes:
-        """Return the shapes of a reading and a filter of it."""
+        """Return the shapes for a reading and its filter."""
         count = reading.values.size
         time = reading.interval * np.arange(count, dtype=np.float64)
         motions = [part for mode in reading.dynamics.modes for part in _free_motions(mode, time)]
@@ -82,7 +84,7 @@ class ShiftedShapes:
         column = np.zeros(self.whitened.shape[1])
         if duration <= 0:
             self._add(column, instant, 0.0, size=1.0)
-        else:  # one force that rises for longer than the window, less another
+        else:  # a ramp is the difference of two that do not end within the window
             self._add(column, instant, 2 * whole, size=2 * whole / duration)
             self._add(column, instant + duration, 2 * whole, size=-2 * whole / duration)
         early = column[: self.start.shape[1]]
@@ -90,7 +92,7 @@ class ShiftedShapes:
         return column
 
     def _add(self, column: Array, instant: float, duration: float, *, size: float) -> None:
-        """Add the response to a step of a size that is not over before the window ends [N]."""
+        """Add the response to a step, or to a ramp that does not end within the window, of a size [N]."""
         first = int(np.ceil(instant / self.reading.interval))
         if first >= column.size:
             return
@@ -108,13 +110,13 @@ class StepWindow:
     reading
         The part.
     filter
-        Its filter.
+        Its Kalman filter.
     basis
-        The known shapes whitened, orthogonal and of length 1, shape (n, q).
+        Orthonormal basis of the whitened known shapes, shape (n, q).
     left
-        What they leave of the whitened readings, shape (n,).
+        Residuals of the whitened readings without the known shapes, shape (n,).
     before
-        Samples before the first instant that is tried at which others are expected.
+        Samples before the first instant tried in which further instants may be tried.
     """
 
     reading: Observation
@@ -132,20 +134,20 @@ class StepWindow:
 
     @classmethod
     def of(cls, reading: Observation, filter_: KalmanFilter, columns: Array, *, before: int = 0) -> StepWindow:
-        """Return the window of a reading in which the sizes of known shapes (n, q) are free."""
+        """Return the window of a reading, with free coefficients of the known shapes in `columns`, shape (n, q)."""
         white = filter_.whiten(np.column_stack([reading.filled, columns]))
         basis, _ = np.linalg.qr(white[:, 1:])
         return cls(reading, filter_, basis, white[:, 0] - basis @ (basis.T @ white[:, 0]), before)
 
     def squares(self, instant: float, duration: float) -> float:
-        """Return the sum of squares [1] that a step of the best height leaves.
+        """Return the sum of squared whitened residuals with a step of the best height [1].
 
         Parameters
         ----------
         instant, duration
             When the force begins to change, and for how long [s].
         """
-        if self.reading.decimated > 1:  # what the filter of the slower clock does beside a change is no free motion
+        if self.reading.decimated > 1:  # beside a change, the response of the decimation filter is not a free motion
             column = self._left_of(response_to(Step(instant, duration), self.reading)[:, None])[:, 0]
             return float(self.left @ self.left - float(self.left @ column) ** 2 / max(float(column @ column), 1e-300))
         begin, end = instant / self.reading.interval, (instant + duration) / self.reading.interval
@@ -174,7 +176,7 @@ class StepWindow:
         return starts and (end <= self._edge or self._edge == self.left.size)
 
     def _left_of(self, columns: Array) -> Array:
-        """What the known shapes leave of whitened columns (n, c)."""
+        """Residuals of columns, whitened and without the known shapes, shape (n, c)."""
         white = np.empty_like(columns)
         for first in range(0, columns.shape[1], TOGETHER):
             part = slice(first, first + TOGETHER)
@@ -183,7 +185,7 @@ class StepWindow:
         return white
 
     def _prepare(self, first: int, edge: int) -> None:
-        """Whiten single samples from a first one to an edge, and the shapes of a free motion after it."""
+        """Whiten unit impulses at samples `first` to `edge` (excluded), and the shapes that begin at `edge`."""
         count, interval = self.left.size, self.reading.interval
         number = 1 + 2 * len(self.reading.dynamics.modes)
         first, edge = (int(np.clip(place, 0, count)) for place in (first, edge))
@@ -207,7 +209,7 @@ class StepWindow:
 
 
 def _free_motions(mode: Mode, time: Array) -> tuple[Array, Array]:
-    """Two motions of which every free motion of a mode is a sum, shape (n,) each [1; s]."""
+    """Two motions whose linear combinations are all free motions of a mode, shape (n,) each [1; s]."""
     p, q = mode.poles
     one, other = np.exp(p * time), np.exp(q * time)
     if abs(p - q) * time[-1:].sum() < SAME_POLE:

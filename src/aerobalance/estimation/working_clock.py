@@ -1,13 +1,13 @@
-"""The clock on which the forces of a long record are worked out: slower than its own where that loses nothing.
+"""The sampling clock on which the forces of a long record are estimated: slower than its own where nothing is lost.
 
 A balance that rings at 300 Hz is recorded at 25 kHz, for the sake of its steps and of the filters. Above some multiple
-of the highest natural frequency the readings then hold nothing but noise, and a force there has none of it to thank.
-White noise stays white on the slower clock (`aerobalance.recording.decimation`), the load in the band stays what it
-is, and the response to a step is filtered as the readings are, so that prior, likelihood and uncertainty are the same.
-What a sample costs, it costs once for each of the slower clock.
+of the highest natural frequency the readings then hold nothing but noise and tell nothing of a force. White noise
+stays white on the slower clock (`aerobalance.recording.decimation`), the load in the band does not change, and the
+response to a step is filtered as the readings are, so that prior, likelihood and uncertainty are the same. The cost of
+an estimate is proportional to the number of samples, and is smaller by the ratio of the clocks.
 
-The record is looked at first, all of it: samples are missing, wild or clipped, or the load goes beyond that band, then
-it keeps its clock. So does a record that is short enough to be worked out at once.
+All of the record is examined first: where samples are missing, wild, stuck or clipped, or the load has frequencies
+above that band, the record keeps its clock. A record that is one part keeps it too (`aerobalance.estimation.force`).
 """
 
 from __future__ import annotations
@@ -37,30 +37,31 @@ from aerobalance.recording.side_by_side import WORKERS, side_by_side
 
 Given = Recording | Loads
 MadeReady = Callable[[Given], Given]
-"""Makes balance loads of gauge outputs, and gives loads as they are."""
+"""Converts gauge outputs to balance loads, and returns loads unchanged."""
 
 
 @dataclass(frozen=True, slots=True)
 class WorkingClockSettings:
-    """When a record is worked out on a slower clock, and on which.
+    """When the forces of a record are estimated on a slower clock, and on which.
 
     Attributes
     ----------
     periods
-        Band of the slower clock, in which its filter changes nothing, over the highest natural frequency, at least.
+        Least pass band of the decimation filter over the highest natural frequency [1].
     beyond
-        The same over the highest frequency at which the load stands out of the noise.
+        Least pass band over the highest frequency at which the load is above the noise [1].
     stands_out
-        Density of a load over that of the noise in a block of samples, and in the whole record, from which on it
-        stands out. Of noise alone, a band of a block has some 200 degrees of freedom: one in 1e12 has twice its level.
+        Spectral density of the readings over that of their noise from which on a load is taken to be there [1]: in one
+        block of samples, and in the mean of all blocks. With noise alone, the density of a band in a block is a
+        chi-squared of some 135 degrees of freedom over their number: 4 in 1e11 are above twice the level.
     factors
-        Factors by which the clock may be slower; four at least, or little is gained.
+        Factors by which the clock may be slower, largest first; four at least, or little is gained.
     at_once
-        Samples that are looked at together.
+        Samples of the record that are read, examined or decimated together.
     block, segment
-        Samples of a block, and of the segments that its spectrum is averaged over.
+        Samples of a block, and of the segments over which its spectrum is averaged.
     bands
-        Bands of equal width in which the spectrum is looked at.
+        Number of bands of equal width over which the spectrum is averaged.
     """
 
     periods: float = 2.5
@@ -74,11 +75,11 @@ class WorkingClockSettings:
 
 
 SETTINGS: Final = WorkingClockSettings()
-"""Settings that are used."""
+"""The settings in use."""
 
 
 class WorkingRecord(Protocol):
-    """A record as its forces are worked out: on its own clock or on a slower one, its gauge outputs made loads."""
+    """A record as the estimator reads it: on its own or a slower clock, gauge outputs converted to balance loads."""
 
     @property
     def name(self) -> str:
@@ -86,7 +87,7 @@ class WorkingRecord(Protocol):
 
     @property
     def samples(self) -> int:
-        """Number of samples of the clock on which it is worked out."""
+        """Number of samples of the clock on which its forces are estimated."""
 
     @property
     def rate(self) -> float:
@@ -102,10 +103,10 @@ class WorkingRecord(Protocol):
 
     @property
     def every(self) -> int:
-        """Samples of the record for each of that clock."""
+        """Number of samples of the record for each sample of that clock."""
 
     def part(self, begin: int, end: int) -> Given:
-        """Samples from one to another (not included), with loads."""
+        """Samples `begin` to `end` (excluded) of that clock, with balance loads [N, N*m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +118,7 @@ class RecordAsItIs:
     record
         The record.
     made_ready
-        Makes loads of samples that are gauge outputs.
+        Converts samples that are gauge outputs to balance loads.
     """
 
     record: LongRecord[Given]
@@ -150,11 +151,11 @@ class RecordAsItIs:
 
     @property
     def every(self) -> int:
-        """1."""
+        """Number of samples of the record for each sample of this clock: 1."""
         return 1
 
     def part(self, begin: int, end: int) -> Given:
-        """Samples from one to another (not included), with loads."""
+        """Samples `begin` to `end` (excluded), with balance loads [N, N*m]."""
         return self.made_ready(self.record.part(begin, end))
 
 
@@ -164,15 +165,18 @@ class DecimatedRecord:
 
     Attributes
     ----------
-    record, made_ready
-        The record, and what makes loads of samples of it that are gauge outputs.
+    record
+        The record on its own clock.
+    made_ready
+        Converts samples that are gauge outputs to balance loads.
     decimation
-        How much slower the clock is.
+        Factor between the clocks, and where the samples of the slower one are in the record.
     """
 
     record: LongRecord[Given]
     made_ready: MadeReady
     decimation: Decimation
+    # of the part read last: its first sample and clock in the record; a list, as the class is frozen
     _clocks: list[tuple[int, Recording]] = field(init=False, default_factory=list)
 
     @property
@@ -192,7 +196,7 @@ class DecimatedRecord:
 
     @property
     def start(self) -> float:
-        """Time of the first sample [s]."""
+        """Time of the first sample of the slower clock [s]."""
         return self.record.start + self.decimation.before / self.record.rate
 
     @property
@@ -202,15 +206,17 @@ class DecimatedRecord:
 
     @property
     def every(self) -> int:
-        """Samples of the record for each of the slower clock."""
+        """Number of samples of the record for each sample of the slower clock."""
         return self.decimation.factor
 
     def part(self, begin: int, end: int) -> Given:
-        """Samples of the slower clock from one to another (not included), with loads."""
+        """Samples `begin` to `end` (excluded) of the slower clock, with balance loads [N, N*m]."""
         step = max(SETTINGS.at_once // self.every, 1)
         edges = [*range(begin, end, step), end]
         if len(edges) > 2 and edges[-1] - edges[-2] < step // 2:
-            del edges[-2]  # no piece so short that its noise is not known
+            del edges[
+                -2
+            ]  # a short piece is joined to the one before: the noise of its readings could not be estimated
         pieces, stamps = zip(*side_by_side(self._piece, pairwise(edges)), strict=True)
         joined, whole = _joined(pieces), np.concatenate(stamps)
         del pieces
@@ -228,7 +234,7 @@ class DecimatedRecord:
         return joined
 
     def clock(self, first: int, last: int) -> tuple[Recording, slice]:
-        """The clock of the part of the record that was worked on last, and which of its samples are wanted.
+        """The record's own clock over the part that `part` returned last, and which of its samples are wanted.
 
         Parameters
         ----------
@@ -239,7 +245,7 @@ class DecimatedRecord:
         return recording, slice(first - begin, last - begin)
 
     def _piece(self, ends: tuple[int, int]) -> tuple[Given, Array]:
-        """A piece of a part, and the time stamps of its samples of the record [s]."""
+        """Samples of the slower clock with balance loads, and the time stamps of the record's samples there [s]."""
         begin, end = ends
         wanted = self.decimation.wanted(begin, end)
         given = self.made_ready(self.record.part(wanted.start, wanted.stop))
@@ -262,6 +268,7 @@ class DecimatedRecord:
         return felt, stamps
 
     def _recording(self, recording: Recording, begin: int, end: int) -> Recording:
+        """The recording with its channels and its clock decimated."""
         factor, count = self.every, end - begin
         channels = {name: self._channel(one, begin, end) for name, one in recording.channels.items()}
         start = self.start + begin / self.rate
@@ -281,13 +288,14 @@ class DecimatedRecord:
         )
 
     def _channel(self, channel: Channel, begin: int, end: int) -> Channel:
+        """The channel decimated: the standard deviation of white noise falls with the root of the factor."""
         values = self.decimation.decimated(channel.values[:, None], begin, end)[:, 0]
         noise = None if channel.noise is None else channel.noise / np.sqrt(self.every)
         return replace(channel, values=values, noise=noise)
 
 
 def _joined(pieces: Sequence[Given]) -> Given:
-    """Pieces of a part, one after the other, as one."""
+    """Consecutive pieces of a part, joined to one."""
     if len(pieces) == 1:
         return pieces[0]
     recordings = [one.recording if isinstance(one, Loads) else one for one in pieces]
@@ -321,16 +329,16 @@ def _joined(pieces: Sequence[Given]) -> Given:
 def slower_clock(
     record: LongRecord[Given], dynamics: BalanceDynamics, made_ready: MadeReady
 ) -> DecimatedRecord | None:
-    """Return a record on the slowest clock that loses nothing of its load; None where that is its own.
+    """Return a record on the slowest clock that keeps all of its load; None where that is its own clock.
 
     Parameters
     ----------
     record
         The record.
     dynamics
-        Its components.
+        Dynamics of the balance.
     made_ready
-        Makes loads of samples that are gauge outputs.
+        Converts samples that are gauge outputs to balance loads.
     """
     highest = max(mode.natural_frequency for mode in dynamics.modes)
     fitting = [one for one in SETTINGS.factors if _band(record.rate, one) >= SETTINGS.periods * highest]
@@ -339,14 +347,14 @@ def slower_clock(
     look = _Look(record.rate, above=_band(record.rate, fitting[0]))
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DataQualityWarning)  # it is said when the record is worked out
+            warnings.simplefilter("ignore", DataQualityWarning)  # given when the forces are estimated
             begins, length = _pieces(record.samples)
             looked = partial(look.levels, record, made_ready, dynamics, length=length)
             for some in PROGRESS.each([begins[at : at + WORKERS] for at in range(0, len(begins), WORKERS)], "look"):
                 if not look.add(side_by_side(looked, some)):
                     return None
     except FitError:
-        return None  # said as well when it is worked out
+        return None  # raised again, with its reason, when the forces are estimated
     for factor in fitting:
         if _band(record.rate, factor) >= SETTINGS.beyond * look.highest:
             return DecimatedRecord(record, made_ready, Decimation(factor, record.samples))
@@ -354,12 +362,12 @@ def slower_clock(
 
 
 def _band(rate: float, factor: int) -> float:
-    """Frequency up to which a clock that is slower by a factor leaves all as it is [Hz]."""
+    """Pass band of the decimation by a factor: its filter has a gain of 1 up to there [Hz]."""
     return (1 - ROLL_OFF) * rate / (2 * factor)
 
 
 def _pieces(samples: int) -> tuple[list[int], int]:
-    """First samples of the pieces in which a record is looked at, and their length."""
+    """First samples of the pieces in which a record is examined, and their length; the last one may overlap."""
     length = min(SETTINGS.at_once, samples)
     begins = [*range(0, samples - length + 1, length)]
     if begins[-1] + length < samples:
@@ -369,7 +377,7 @@ def _pieces(samples: int) -> tuple[list[int], int]:
 
 @dataclass(slots=True, eq=False)
 class _Look:
-    """What pieces of a record show above the noise.
+    """Spectra of the pieces of a record, and the highest frequency at which a load is above the noise in them.
 
     Attributes
     ----------
@@ -378,7 +386,7 @@ class _Look:
     above
         Frequency above which the level of the noise is judged [Hz].
     highest
-        Highest frequency at which a load stands out of the noise so far [Hz].
+        Highest frequency at which a load is above the noise in the pieces added so far [Hz].
     """
 
     rate: float
@@ -388,7 +396,7 @@ class _Look:
 
     @property
     def highest(self) -> float:
-        """Highest frequency at which a load stands out of the noise, in a block or in all of them together [Hz]."""
+        """Highest frequency at which a load is above the noise, in one block or in the mean of all [Hz]."""
         whole = [self._edge(power[None], SETTINGS.stands_out[1]) for power in self._power.values()]
         return max(self._highest, *whole)
 
@@ -401,7 +409,10 @@ class _Look:
         *,
         length: int,
     ) -> dict[str, Array]:
-        """Return the level of each band in each block of a piece by component; none where samples are not sound."""
+        """Return the level of each band in each block of a piece by component, as `_levels`.
+
+        Where samples are missing, wild, stuck or clipped, nothing is returned for any component.
+        """
         given = made_ready(record.part(begin, begin + length))
         recording = given.recording if isinstance(given, Loads) else given
         names = [name for name in dynamics.components if name in recording]
@@ -419,7 +430,7 @@ class _Look:
         return all(found)
 
     def _levels(self, values: Array) -> Array:
-        """Density of each band in each block, shape (blocks, bands), up to a factor."""
+        """Spectral density of each band in each block, shape (blocks, bands), up to a constant factor."""
         segment = min(SETTINGS.segment, values.size)
         count = max(values.size // segment, 1)
         segments = values[: count * segment].reshape(count, segment)
@@ -431,7 +442,7 @@ class _Look:
         return np.asarray(bands[: count // block * block].reshape(-1, block, bands.shape[1]).mean(axis=1))
 
     def _edge(self, levels: Array, stands_out: float) -> float:
-        """Upper edge of the highest band that stands out of the noise in any row [Hz]; 0 if none does."""
+        """Upper edge of the highest band that is above the noise in any row of `levels` [Hz]; 0 if none is."""
         width = 0.5 * self.rate / levels.shape[1]
         noise = np.median(levels[:, int(np.ceil(self.above / width)) :], axis=1, keepdims=True)
         out = np.flatnonzero((levels > stands_out * noise).any(axis=0))

@@ -1,4 +1,4 @@
-"""Rows written to a recording in HDF5 as they come, with their time column (see `aerobalance.io.hdf5_layout`)."""
+"""Columns written to a recording in HDF5, some rows at a time (see `aerobalance.io.hdf5_layout` for the format)."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ if TYPE_CHECKING:
     import h5py
 
 CONVERTED: Final = "converted"
-"""Why a recording ended that was made from another file."""
+"""Reason for the end of a recording that was converted from another file."""
 
 ROWS: Final = 8192
-"""Rows of a block of a file that is written from columns."""
+"""Largest number of rows of a block in such a file."""
 
 
 @contextlib.contextmanager
@@ -46,9 +46,9 @@ def appending(
     epoch: np.datetime64 | None = None,
     rows: int = ROWS,
 ) -> Iterator[Append]:
-    """Write columns that come some rows at a time; the file takes its place when all are written.
+    """Write columns some rows at a time; the file appears under its name when all are written.
 
-    Missing samples are NaN, numbers read back exactly.
+    Numbers are stored exactly; samples that are not finite are stored as NaN, which means missing.
 
     Parameters
     ----------
@@ -57,11 +57,11 @@ def appending(
     labels
         The headers ``name [unit]``; one of them is ``time [s]`` or in another unit of time.
     described
-        What is known of the columns, by header.
+        Metadata of the columns, by header.
     epoch
         Date and time at which the time is zero; None where it is not known.
     rows
-        Rows that there will be, nearly; a block of the file has as many, and `ROWS` at most.
+        Expected number of rows, which need not be exact; it is the size of a block, up to `ROWS`.
 
     Yields
     ------
@@ -95,7 +95,7 @@ def appending(
 
 
 class _Rows:
-    """Writes rows to an open file, block by block: a block is put together where it stays in the processor's cache."""
+    """Writes rows to an open file, block by block; a block is collected in a small table that the cache can hold."""
 
     def __init__(self, file: h5py.File, disk: GuardedFile, channels: tuple[StoredChannel, ...], rows: int) -> None:
         self._file, self._disk, self._channels, self._rows = file, disk, channels, rows
@@ -105,7 +105,7 @@ class _Rows:
         self._blocks: list[tuple[int, int, int, float]] = []
 
     def append(self, columns: Mapping[str, Array]) -> None:
-        """Take the next rows; whole blocks are written."""
+        """Take the next rows; complete blocks are written, the rest is kept."""
         if self._disk.failure is not None:
             raise self._disk.failure
         stamps = next(values for label, values in columns.items() if split_label(label)[0] == "time")
@@ -125,12 +125,12 @@ class _Rows:
         self._file.flush()
 
     def finish(self) -> None:
-        """Write what is left, and that the record has ended."""
+        """Write the rows that are left, the index of the blocks, and the status that the record has ended."""
         if self._filled:
             self._grow(self._written + self._filled)
             self._write()
         if self._disk.failure is not None:
-            return
+            return  # raised when the guarded file is closed
         blocks = np.array(self._blocks, dtype=BLOCK)
         self._file["blocks"].resize(blocks.shape)
         self._file["blocks"][...] = blocks
@@ -142,7 +142,7 @@ class _Rows:
             self._time.resize((rows,))
 
     def _write(self) -> None:
-        """Write the block that was put together."""
+        """Write the collected block, with its checksum in the index."""
         values = self._table[: self._filled]
         values[~np.isfinite(values)] = np.nan
         place = slice(self._written, self._written + self._filled)
@@ -162,7 +162,7 @@ def _stored(
     for label in others:
         name, unit = split[label]
         if len(name.encode()) > CHANNEL["name"].itemsize or len(unit.encode()) > CHANNEL["unit"].itemsize:
-            raise ValueError(f"cannot write {path}: the column {label!r} has too long a name for HDF5 (60 letters)")
+            raise ValueError(f"cannot write {path}: the name or the unit of the column {label!r} is too long for HDF5")
         known = (described or {}).get(label, StoredChannel(name=name, unit=unit))
         channels.append(replace(known, name=name, unit=unit, input=label))
     return tuple(channels), split[time][1]

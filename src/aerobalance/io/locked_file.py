@@ -1,8 +1,8 @@
-"""A file while it is being written: nobody may replace it, and it is not lost with its name.
+"""Protection of a file while it is being written: against being replaced, and against loss when its name is deleted.
 
-A writer holds a shared lock on its file, so that readers are let in and whoever would replace the file is not. The
-file has a second, hidden name beside it for as long: where the first is deleted or goes to another file, the content
-is still there under the second, with all that was written, and is given a new name beside the old one.
+A writer holds a shared lock (flock) on its file: readers may open it, and this program does not replace it. Meanwhile
+the file has a second, hidden name (hard link) beside it: where the first is deleted or given to another file, the
+content is still there under the second, with all that was written, and is given a new name beside the old one.
 """
 
 from __future__ import annotations
@@ -23,7 +23,10 @@ SPARE: Final = ".recording"
 """Ending of the second name, which begins with a dot."""
 
 _LONGEST: Final = 200
+"""Characters of a name that are kept in a longer one: file systems allow 255 bytes."""
+
 _MOST_NAMES: Final = 10_000
+"""Number below which numbered names are tried."""
 
 
 class FileFault(NamedTuple):
@@ -32,11 +35,11 @@ class FileFault(NamedTuple):
     Attributes
     ----------
     text
-        In words, beginning with the name that the file had.
+        Description, beginning with the name that the file had.
     path
         Where the file is now; None where it has no name any more, or was cut short.
     damaged
-        Whether what was written is no longer in it.
+        Whether the file has lost some of what was written.
     """
 
     text: str
@@ -45,7 +48,7 @@ class FileFault(NamedTuple):
 
 
 class LockedFile:
-    """Holds a file that is being written, under whatever name it has.
+    """Lock and hidden second name of a file that is being written; follows the file when it is moved.
 
     Parameters
     ----------
@@ -55,7 +58,7 @@ class LockedFile:
     Raises
     ------
     OSError
-        It cannot be opened.
+        The file cannot be opened.
     """
 
     def __init__(self, path: Path) -> None:
@@ -68,7 +71,10 @@ class LockedFile:
             self._link()
 
     def look(self) -> FileFault | None:
-        """Return what has happened to the file since the last look; None where it is in its place and whole."""
+        """Return what has happened to the file; None where it has its name and all of its content.
+
+        A fault that remains is returned again at the next call.
+        """
         if sys.platform == "win32":
             return None
         size = os.fstat(self._handle).st_size
@@ -95,12 +101,12 @@ class LockedFile:
         return FileFault(f"{old} {what} while it was written", found)
 
     def copy(self) -> Path:
-        """Copy the content of a file that has no name any more, and return the copy.
+        """Copy the content of a file that has no name any more, and return the path of the copy.
 
         Raises
         ------
         OSError
-            It cannot be copied.
+            The content cannot be copied.
         """
         self._first.parent.mkdir(parents=True, exist_ok=True)
         with os.fdopen(os.dup(self._handle), "rb") as source:
@@ -119,27 +125,28 @@ class LockedFile:
         raise FileExistsError(f"all names beside {self._first} are taken")
 
     def release(self) -> None:
-        """Let the file go: it is complete, and has its one name."""
+        """Remove the lock and, where the file still has its name, the second name."""
         if self._is(self._spare) and self._is(self.path):
             with contextlib.suppress(OSError):
                 self._spare.unlink()
         os.close(self._handle)
 
     def _is(self, path: Path) -> bool:
-        """Whether a name is that of the file which is held."""
+        """Whether a path is a name of the locked file."""
         try:
             return os.path.samestat(os.lstat(path), os.fstat(self._handle))
         except OSError:
             return False
 
     def _link(self) -> None:
-        """Give the file its second name, where the file system has such."""
+        """Give the file its second name, where the file system has hard links."""
         with contextlib.suppress(OSError):
             if os.path.lexists(self._spare) and not is_locked(self._spare):
                 recover(self._spare)
             os.link(self.path, self._spare)
 
     def _new_name(self) -> Path | None:
+        """Path of a new name of the file beside its first one; None where it cannot be given."""
         for path in _names(self._first):
             try:
                 os.link(self._spare, path)
@@ -152,7 +159,7 @@ class LockedFile:
 
 
 def open_locked(path: Path) -> int:
-    """Return the handle of a file that is locked for others to see, where the file system has locks, until closed."""
+    """Return the descriptor of a file, with a shared lock until it is closed, where the file system has locks."""
     handle = os.open(path, os.O_RDONLY)
     if sys.platform != "win32":
         with contextlib.suppress(OSError):
@@ -186,7 +193,7 @@ def refuse_locked(path: Path) -> None:
     Raises
     ------
     ValueError
-        It is.
+        The file is being written, or locked by another program.
     """
     if is_locked(path):
         raise ValueError(
@@ -196,7 +203,7 @@ def refuse_locked(path: Path) -> None:
 
 
 def recover(spare: Path) -> Path | None:
-    """Tidy up the second name of a file whose writer was killed; return the file's new name where it had lost its own.
+    """Remove the second name of a file whose writer was killed; return the new name of a file that had only this one.
 
     Parameters
     ----------
@@ -223,7 +230,7 @@ def recover(spare: Path) -> Path | None:
 
 
 def recover_all(folder: Path) -> list[Path]:
-    """Tidy up in a folder after writers that were killed; return the files that had lost their names."""
+    """Remove second names in a folder after writers were killed; return the new names of files that had no other."""
     found = []
     for spare in folder.glob(f".*{SPARE}"):
         with contextlib.suppress(OSError):

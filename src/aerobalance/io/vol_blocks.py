@@ -19,7 +19,7 @@ _SIGNED: Final = re.compile(
 )
 _COUNT: Final = re.compile(r"number\s*of\s*loads\b", re.I)
 _PADDED: Final = re.compile(r"([,;]) *\t")
-"""Tabs that only align columns."""
+"""A separator and the tab after it that only aligns columns."""
 _COMMA_DECIMAL: Final = re.compile(r"(?<![\d.,])[+-]?\d*,\d")
 
 
@@ -42,12 +42,12 @@ class Entry:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class VolBlock:
-    """One block: the loads on one component in one direction, and what the bridges read.
+    """One block: loads on one component in one direction, and the bridge outputs.
 
     Attributes
     ----------
     title
-        What stands between the brackets, for example ``N1 neg``.
+        Text between the brackets, for example ``N1 neg``.
     component
         The title without its sign.
     sign
@@ -55,11 +55,11 @@ class VolBlock:
     labels
         Header cells of the m columns.
     header_line
-        Line of the header.
+        Line number of the header.
     values
         Cells, shape (n, m).
     lines
-        Line of each of the n rows.
+        Line number of each of the n rows.
     """
 
     title: str
@@ -78,7 +78,7 @@ class VolText:
     Attributes
     ----------
     description, capacities, distances
-        Lines ``key--> value`` of these sections.
+        Lines ``key--> value`` of the sections of these kinds.
     blocks
         The blocks that hold loads.
     """
@@ -91,7 +91,7 @@ class VolText:
 
 @dataclass(slots=True)
 class _Section:
-    """Lines of one section, blank ones left out."""
+    """Lines of one section without the blank ones: entries ``key--> value``, and rows with their line numbers."""
 
     title: str
     line: int
@@ -99,18 +99,19 @@ class _Section:
     rows: list[tuple[int, str]] = field(default_factory=list)
 
 
-def take_apart(path: Path, text: str) -> VolText:
+def parse_vol(path: Path, text: str) -> VolText:
     """Parse the text of a ``.vol`` file.
 
     Raises
     ------
     ReadError
-        A row is no row of numbers, or there is no block of loads.
+        A row has a cell that is not a number or not one for each column, a block has no header and there is none
+        before it, or there is no block of loads.
 
     Warns
     -----
     DataQualityWarning
-        The file is cut off, or a block has another number of rows than it says.
+        The file is cut off, a block has no header, no rows, or another number of rows than it states.
     """
     sections = _sections(text)
     kinds: dict[str, list[Entry]] = {"description": [], "capacities": [], "distances": []}
@@ -140,6 +141,7 @@ def take_apart(path: Path, text: str) -> VolText:
 
 
 def _sections(text: str) -> list[_Section]:
+    """Sections of a file; the first has the lines before any heading, and no title."""
     sections = [_Section("", 1)]
     for number, raw in enumerate(text.split("\n"), start=1):
         line = _PADDED.sub(r"\1", raw)
@@ -157,7 +159,7 @@ def _sections(text: str) -> list[_Section]:
 
 
 def _kind(section: _Section) -> str:
-    """Return what a section holds."""
+    """Kind of a section: block, distances, capacities or description."""
     title = section.title.casefold()
     if _SIGNED.fullmatch(title) or any(_COUNT.match(entry.key) for entry in section.entries):
         return "block"
@@ -169,14 +171,14 @@ def _kind(section: _Section) -> str:
 
 @dataclass(frozen=True, slots=True)
 class _End:
-    """How the file ends."""
+    """Whether the file ends with a complete line, and whether a section is its last one."""
 
     whole: bool
     last: bool
 
 
 def _block(path: Path, section: _Section, ends: _End, inherited: tuple[str, ...]) -> VolBlock | None:
-    """Make a block of a section; None, with a warning, where it holds no rows."""
+    """Block that a section holds; None, with a warning, where it has no rows."""
     signed = _SIGNED.fullmatch(section.title)
     rows = list(section.rows)
     labels, header_line = inherited, section.line
@@ -185,7 +187,8 @@ def _block(path: Path, section: _Section, ends: _End, inherited: tuple[str, ...]
         header_line, header = rows.pop(0)
         labels = tuple(_trimmed(split_line(header, separator)))
     elif rows and labels:
-        # The unit of the load may be another one than in the block before: that of the maximal load goes before it.
+        # The load may have another unit than in the block before: without one in its label, that of the maximal load
+        # is taken.
         labels = tuple("Load" if label.casefold().startswith("load") else label for label in labels)
         warn_quality(
             f"{path}: block [{section.title}] (line {section.line}) has no header: its columns are taken as those of "
@@ -222,7 +225,7 @@ def _trimmed(cells: list[str]) -> list[str]:
 
 @dataclass(frozen=True, slots=True)
 class _Columns:
-    """What is needed to read the rows of a block."""
+    """Labels and separator of the columns of a block, and how the file ends."""
 
     labels: tuple[str, ...]
     separator: str
@@ -230,7 +233,7 @@ class _Columns:
 
 
 def _rows(path: Path, section: _Section, rows: list[tuple[int, str]], columns: _Columns) -> tuple[list[Array], bool]:
-    """Read the rows of a block; also tell whether the file ends in the middle of the last one."""
+    """Numbers in the rows of a block, and whether the file ends in the middle of the last row."""
     values: list[Array] = []
     written: list[int] = []
     cells: list[str] = []
@@ -239,6 +242,7 @@ def _rows(path: Path, section: _Section, rows: list[tuple[int, str]], columns: _
         separator = columns.separator if columns.separator in row else separator_of(row)
         cells = _trimmed(split_line(row, separator))
         found = [number_in(cell, decimal=decimal) for cell in cells]
+        # the last row is cut off if cells are missing, or its last one is no number or shorter than in all rows before
         final = columns.ends.last and index == len(rows) - 1
         short = len(cells) < len(columns.labels)
         if final and ((short and None not in found[:-1]) or (not columns.ends.whole and None not in found[:-1])):
@@ -266,7 +270,7 @@ def _rows(path: Path, section: _Section, rows: list[tuple[int, str]], columns: _
 
 
 def _decimal(rows: list[str], separator: str) -> str:
-    """Recognise the decimal sign of a block."""
+    """Decimal sign of a block: a comma only where numbers have commas and none has a point."""
     if separator == ",":
         return "."
     joined = "\n".join(rows)
@@ -274,7 +278,7 @@ def _decimal(rows: list[str], separator: str) -> str:
 
 
 def _check_count(path: Path, section: _Section, *, found: int, cut: bool) -> None:
-    """Say where a block has not the rows that it should have."""
+    """Warn of a block whose number of rows is not the one that it states."""
     entry = next((entry for entry in section.entries if _COUNT.match(entry.key)), None)
     place = f"{path}: block [{section.title}] (line {section.line})"
     if cut:

@@ -16,7 +16,7 @@ import numpy as np
 from aerobalance.balance.load_formats import BalanceType, Geometry
 from aerobalance.balance.schedule import Schedule
 from aerobalance.io.load_columns import Capacities, balance_type_of, load_conversion, load_key, settle_capacities
-from aerobalance.io.vol_blocks import VolBlock, take_apart
+from aerobalance.io.vol_blocks import VolBlock, parse_vol
 from aerobalance.io.vol_columns import (
     VolReading,
     amount_in,
@@ -78,7 +78,7 @@ def read_vol(path: Path, text: str, *, capacities: Capacities | None = None) -> 
     DataQualityWarning
         The file is cut off, signs within a block contradict its title, or names had to be guessed.
     """
-    reading = VolReading(path, take_apart(path, text))
+    reading = VolReading(path, parse_vol(path, text))
     blocks = reading.parts.blocks
     layouts = [layout_of(reading, block) for block in blocks]
     naming = naming_of(reading, layouts[0])

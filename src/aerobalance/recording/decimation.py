@@ -1,9 +1,9 @@
-"""Series on a slower clock and back: a filter that leaves white noise white, then every n-th sample.
+"""Decimation of series with a root-Nyquist filter, and band-limited interpolation back to the faster clock.
 
 The squares of the filter's gain at a frequency and at the one that folds onto it add up to 1 (a root-Nyquist filter),
 so that white noise on the fast clock is white on the slow one. Its gain falls off as that of Meyer's wavelet
-[Daubechies1992]_, smoothly, so that its response in time is short. Where it would reach beyond an end of the record,
-the best linear estimate of a band-limited series from the samples there takes its place.
+[Daubechies1992]_: smoothly, so that the impulse response is short. Where the filter would need samples beyond an end
+of the record, the best linear estimate of a band-limited series from the samples near that end is used instead.
 
 References
 ----------
@@ -24,38 +24,39 @@ from scipy.fft import irfft, next_fast_len, rfft
 from aerobalance.recording.channel import Array
 
 ROLL_OFF: Final = 0.35
-"""Part of the new Nyquist frequency that the filter takes to fall off, on either side of it."""
+"""Half width of the transition band of the filter, over the new Nyquist frequency in its middle [1]."""
 
 SPAN: Final = 24
-"""New samples on either side that the filter reaches over: its gain is 1 up to 1 - ROLL_OFF of the new Nyquist
-frequency to 1e-6, and beyond 1 + ROLL_OFF it is 1e-5."""
+"""Half length of the filter [new samples]. Up to 1 - ROLL_OFF of the new Nyquist frequency its gain is 1 within 1e-6,
+and beyond 1 + ROLL_OFF it is below 2e-5."""
 
 FINE: Final = 64
-"""Points of the filter's gain for each sample of its response."""
+"""Points at which the gain of the filter is given, over half the number of its coefficients."""
 
 BAND_NOISE: Final = 1e-8
-"""Density of the noise over that of the series within its band, for which the estimate beside an end is the best."""
+"""Spectral density of noise over that of the series in its band, assumed for the estimate beside an end [1]."""
 
 BETWEEN: Final = 12
-"""Samples on either side that a value between samples is made from."""
+"""Samples on either side from which a value between samples is interpolated."""
 
 SHARPNESS: Final = 12.0
-"""Parameter of the Kaiser window of that: errors stay below 3e-6 up to 0.6 of the Nyquist frequency."""
+"""Parameter beta of the Kaiser window of that interpolation: its error is below 4e-6 of the amplitude of a sine, up to
+1 - ROLL_OFF of the Nyquist frequency."""
 
 CLEAN: Final = 1e-10
-"""As `BAND_NOISE`, for values between samples beside an end."""
+"""As `BAND_NOISE`, for the interpolation beside an end [1]."""
 
 
 @cache
 def decimation_filter(factor: int, span: int = SPAN) -> Array:
-    """Coefficients of the filter by which so many samples become one, shape (2 span factor + 1,), of sum 1.
+    """Coefficients of the decimation filter, shape (2 span factor + 1,), symmetric and of sum 1 [1].
 
     Parameters
     ----------
     factor
-        Samples that become one.
+        Samples of the fast clock for each sample of the slow one.
     span
-        New samples on either side that it reaches over: with 8 its gain is 1 to 1e-3.
+        Half length of the filter [new samples]: with 8, its gain in the pass band is 1 within 1e-3.
     """
     half = span * factor
     count = FINE * half
@@ -67,20 +68,21 @@ def decimation_filter(factor: int, span: int = SPAN) -> Array:
 
 
 def band_limited_weights(places: Array, count: int, *, band: float, noise: float) -> Array:
-    """Weights of the first samples of a series in its values at places among or beside them, shape (m, count).
+    """Weights by which the first samples of a series give its values at given places, shape (m, count) [1].
 
-    The best linear estimate of a series that is white up to a frequency, and nothing beyond, in white noise.
+    They are those of the best linear estimate of a series that is white up to a frequency and zero beyond it, observed
+    in white noise.
 
     Parameters
     ----------
     places
-        Where the values are wanted, shape (m,), in samples from the first.
+        Where the values are wanted, between the samples or beyond them, shape (m,) [samples from the first].
     count
-        Number of samples that they are made from.
+        Number of samples that the estimate uses.
     band
-        That frequency over the sampling rate [1].
+        Highest frequency of the series over the sampling rate [1].
     noise
-        Density of the noise over that of the series [1].
+        Spectral density of the noise over that of the series in its band [1].
     """
     own = np.arange(count)
     within = 2 * band * np.sinc(2 * band * (own[:, None] - own))
@@ -90,7 +92,7 @@ def band_limited_weights(places: Array, count: int, *, band: float, noise: float
 
 @cache
 def _weights_between(factor: int) -> Array:
-    """Weights of the 2 BETWEEN samples about a place in the values from the one before it on, (factor, 2 BETWEEN)."""
+    """Interpolation weights of the 2 BETWEEN nearest samples for each fast sample, shape (factor, 2 BETWEEN)."""
     distance = np.arange(1 - BETWEEN, BETWEEN + 1) - np.arange(factor)[:, None] / factor
     window = np.i0(SHARPNESS * np.sqrt(np.maximum(1 - (distance / BETWEEN) ** 2, 0.0)))
     weights = np.sinc(distance) * window
@@ -99,14 +101,14 @@ def _weights_between(factor: int) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Decimation:
-    """A record of so many samples on a clock that is slower by a factor, as far from both of its ends.
+    """Which samples of a record those of a slower clock come from; that clock lies in the middle of the record.
 
     Attributes
     ----------
     factor
-        Samples that become one.
+        Samples of the record for each sample of the slow clock.
     samples
-        Samples of the record.
+        Number of samples of the record.
     """
 
     factor: int
@@ -114,35 +116,46 @@ class Decimation:
 
     @property
     def count(self) -> int:
-        """Samples of the slow clock."""
+        """Number of samples of the slow clock."""
         return (self.samples - 1) // self.factor + 1
 
     @property
     def before(self) -> int:
-        """Samples of the record before the first of the slow clock; as many, or one more, come after its last one."""
+        """Samples of the record before the first of the slow clock; as many, or one more, follow its last one."""
         return (self.samples - 1) % self.factor // 2
 
     def span(self, begin: int, end: int) -> slice:
-        """Samples of the record that those of the slow clock, from one to another (not included), stand for."""
+        """Samples of the record to which samples `begin` to `end` (excluded) of the slow clock are interpolated."""
         first = 0 if begin == 0 else self.before + begin * self.factor
         return slice(first, self.samples if end == self.count else self.before + end * self.factor)
 
     def wanted(self, begin: int, end: int) -> slice:
-        """Samples of the record that those of the slow clock, from one to another (not included), are made of."""
+        """Samples of the record needed to compute samples `begin` to `end` (excluded) of the slow clock."""
+        # twice what the filter needs: the estimate beside an end uses the samples over its whole length
         reach, before = 2 * SPAN * self.factor, self.before
         first = max(before + begin * self.factor - reach, 0)
         return slice(first, min(before + (end - 1) * self.factor + reach + 1, self.samples))
 
     def decimated(self, series: Array, begin: int, end: int) -> Array:
-        """Return samples of the slow clock, shape (end - begin, c).
+        """Return series at samples `begin` to `end` (excluded) of the slow clock, shape (end - begin, c).
 
         Parameters
         ----------
         series
-            The samples `wanted` of c series without gaps, shape (m, c).
+            c series without gaps at the samples that `wanted` returns, shape (m, c).
         begin, end
             First sample of the slow clock, and the one after the last.
+
+        Raises
+        ------
+        ValueError
+            The record is shorter than the filter.
         """
+        if self.samples < 2 * SPAN * self.factor:
+            raise ValueError(
+                f"a record of {self.samples} samples is too short to be decimated by {self.factor}: "
+                f"{2 * SPAN * self.factor} are needed"
+            )
         own, factor = self.wanted(begin, end), self.factor
         places = self.before + factor * np.arange(begin, end)
         late = (own.start - self.before) % factor  # so that every factor-th sample of the block is one of the clock
@@ -151,7 +164,7 @@ class Decimation:
         answer = _zero_phase(decimation_filter(factor), factor * count) / factor
         out, block = np.empty((places.size, series.shape[1])), np.zeros(factor * count)
         for place, column in enumerate(series.T):
-            level = column[0]  # beyond the ends it is zero
+            level = column[0]  # taken off, as the block is padded with zeros: without it their edge would ring
             block[late : late + column.size] = column - level
             spectrum = np.asarray(rfft(block), dtype=np.complex128)
             out[:, place] = level + _folded(spectrum * answer, count)[first : first + places.size]
@@ -160,22 +173,22 @@ class Decimation:
             (places < reach, places, series),
             (self.samples - 1 - places < reach, self.samples - 1 - places, series[::-1]),
         ):
-            if near.any():  # the filter would reach beyond an end
+            if near.any():  # the filter would need samples beyond an end of the record
                 out[near] = _weights_at_end(distance[near], factor) @ samples[: 2 * reach]
         return out
 
     def interpolated(self, series: Array, begin: int, end: int, *, first: int = 0) -> Array:
-        """Return the samples of the record that those of the slow clock, from one to another, stand for, shape (m,).
+        """Return a series at the samples of the record that `span` returns, shape (m,).
 
         Parameters
         ----------
         series
-            Values on the slow clock, shape (n,), of content up to 0.6 of its Nyquist frequency: those from `begin` to
-            `end` and `BETWEEN` more on either side, as far as there are so many.
+            Values on the slow clock, shape (n,), band-limited to 1 - ROLL_OFF of its Nyquist frequency: those from
+            `begin` to `end` and `BETWEEN` more on either side, or up to the end of the record.
         begin, end
             First sample of the slow clock, and the one after the last.
         first
-            Sample of the slow clock that `series` begins with.
+            Sample of the slow clock at which `series` begins.
         """
         factor, span = self.factor, self.span(begin, end)
         low, high = begin - BETWEEN + 1, end + BETWEEN
@@ -199,25 +212,28 @@ class Decimation:
 
 
 def _weights_at_end(places: NDArray[np.intp], factor: int) -> Array:
-    """Weights of the first samples of a record in those of the slow clock at places of it, (m, 2 SPAN factor)."""
+    """Weights of the first samples of a record in the samples of the slow clock at `places`, (m, 2 SPAN factor)."""
     band = (1 - ROLL_OFF) / (2 * factor)
     return band_limited_weights(places.astype(np.float64), 2 * SPAN * factor, band=band, noise=BAND_NOISE)
 
 
 def _beside_end(series: Array, places: Array) -> Array:
-    """Values at places, in samples from the first of a series or, of its mirror image, from its last, shape (m,)."""
+    """Values of a series near its beginning, at places in samples from its first, shape (m,).
+
+    For the end, give the series in reverse order.
+    """
     count = min(4 * BETWEEN, series.size)
     return np.asarray(band_limited_weights(places, count, band=0.5 * (1 - ROLL_OFF), noise=CLEAN) @ series[:count])
 
 
 def between_samples(values: Array, factor: int) -> Array:
-    """Return a band-limited series, shape (n,), on a clock that is so many times as fast, to its last sample."""
+    """Return a band-limited series on a clock that is faster by a factor, shape ((n - 1) factor + 1,)."""
     decimation = Decimation(factor, (values.size - 1) * factor + 1)
     return decimation.interpolated(values, 0, values.size)
 
 
 def _zero_phase(taps: Array, size: int) -> Array:
-    """Gain of symmetric coefficients at the frequencies of a transform of `size` samples, shape (size / 2 + 1,)."""
+    """Frequency response of a symmetric filter, real as it is without delay, shape (size / 2 + 1,) [1]."""
     half = taps.size // 2
     series = np.zeros(size)
     series[: half + 1], series[size - half :] = taps[half:], taps[:half]
@@ -225,7 +241,7 @@ def _zero_phase(taps: Array, size: int) -> Array:
 
 
 def _folded(spectrum: NDArray[np.complex128], count: int) -> Array:
-    """Samples of the slow clock, `count` in all, from a spectrum that has nothing above its sampling rate."""
+    """Series of `count` samples on the slow clock, from a spectrum that is zero above its sampling rate."""
     slow = np.arange(count // 2 + 1)
-    # what lies above the new Nyquist frequency folds onto what is as far below it
+    # frequencies above the new Nyquist frequency are aliased to those as far below it
     return np.asarray(irfft(spectrum[slow] + spectrum[count - slow].conj(), count))

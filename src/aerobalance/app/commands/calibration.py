@@ -1,4 +1,4 @@
-"""Commands of the calibration: calibrate, compare-calibrations, and matrices from one layout to another."""
+"""Commands of the calibration: calibrate and compare-calibrations."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.units import conversion
 
 SHOWN_INTERACTIONS: Final = 6
-"""Interactions that have changed which the short answer shows."""
+"""Number of changed interactions that the short answer lists."""
 
 
 def calibrate(
@@ -49,7 +49,7 @@ def calibrate(
     channel_map: Path | None = None,
     report: Path | None = None,
 ) -> Result:
-    """Balance matrix from a load schedule."""
+    """Balance matrix and quality of the calibration from a load schedule, written to `out` and `report` if given."""
     check_out(out, path, channel_map, kind="balance")
     check_out(report, path, channel_map, out, kind=PAGE)
     chosen = None if channel_map is None else load_channel_map(channel_map)
@@ -87,13 +87,26 @@ def calibrate(
 
 
 def capacities_from(texts: Sequence[str]) -> dict[str, tuple[float, str]] | None:
-    """Capacities from the command line: ``N1=2500 lbf`` each."""
-    capacities = {}
+    """Capacities from the command line, ``N1=2500 lbf`` each: value and unit by component; None without any.
+
+    Raises
+    ------
+    ValueError
+        A text is not of that form, its number is not positive and finite, or a component comes twice.
+    """
+    capacities: dict[str, tuple[float, str]] = {}
     for text in texts:
-        match = re.fullmatch(r"\s*([^=]+?)\s*=\s*([-+.\deE]+)\s*(\S.*?)\s*", text)
+        match = re.fullmatch(
+            r"\s*([^=]+?)\s*=\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?![.\deE])\s*(\S.*?)\s*", text
+        )
         if match is None:
             raise ValueError(f"--capacity must be like 'N1=2500 lbf', not {text!r}")
-        capacities[match[1]] = (float(match[2]), match[3])
+        name, value = match[1], float(match[2])
+        if not 0 < value < np.inf:
+            raise ValueError(f"--capacity {text!r}: a capacity must be positive and finite")
+        if name in capacities:
+            raise ValueError(f"--capacity gives {name} twice")
+        capacities[name] = (value, match[3])
     return capacities or None
 
 
@@ -129,7 +142,7 @@ def reading_noise_from(texts: Sequence[str]) -> float | dict[str, float]:
 
 
 def geometry_from(text: str) -> Geometry:
-    """Distances of the gauges from the command line: four numbers and a unit, ``1.5 1.5 1.25 1.25 in``."""
+    """Distances of the gauges from the command line [m]: four numbers and a unit, ``1.5 1.5 1.25 1.25 in``."""
     words = text.replace(",", " ").split()
     try:
         values = conversion(words[-1], expected="m").inside([float(word) for word in words[:-1]])
@@ -142,7 +155,7 @@ def geometry_from(text: str) -> Geometry:
 
 
 def summary(calibration: Calibration, quality: Quality) -> str:
-    """Lay the calibration out as a table for people, one component a line."""
+    """Short answer in text: a table with one line for each component, and remarks."""
     schedule = calibration.schedule
     rows = [("", "", *["% cap."] * 5, "%", "")]
     for i, name in enumerate(schedule.components):
@@ -185,12 +198,12 @@ def summary(calibration: Calibration, quality: Quality) -> str:
 
 
 def points_text(count: int) -> str:
-    """Return how many points, for people."""
+    """Return a number of points in words, such as ``2 points``."""
     return f"{count} point{'' if count == 1 else 's'}"
 
 
 def compare(before: Path, after: Path, out: Path | None, *, model: Model = "auto") -> Result:
-    """What two calibrations of one balance differ in; schedules are calibrated first, with the same model."""
+    """Differences between two calibrations of one balance; schedules are calibrated first, with the same model."""
     check_out(out, before, after, kind="calibration comparison")
     with collected_warnings() as collected:
         first, second = (_matrix_of(path, model) for path in (before, after))
@@ -221,7 +234,7 @@ def compare(before: Path, after: Path, out: Path | None, *, model: Model = "auto
 
 
 def comparison_text(result: Result) -> str:
-    """Short answer for people: what has changed of each component, and whether it is more than chance."""
+    """Short answer in text: the change of each component's sensitivity, and whether it is significant."""
     rows = []
     for name, found in result["components"].items():
         drift, u = rounded(found["drift_percent"], found["u_percent"])
@@ -253,8 +266,8 @@ def comparison_text(result: Result) -> str:
 
 
 def _interactions(matrix: BalanceMatrix, change: Array, u: Array) -> list[Result]:
-    """Interactions that have changed by more than three standard uncertainties."""
-    return [
+    """Interactions that have changed by more than three standard uncertainties, the largest change first."""
+    found: list[Result] = [
         {
             "gauge": matrix.gauges[i],
             "load": matrix.components[j],
@@ -265,10 +278,11 @@ def _interactions(matrix: BalanceMatrix, change: Array, u: Array) -> list[Result
         for j in range(len(matrix.components))
         if i != j and abs(change[i, j]) > 3 * u[i, j]
     ]
+    return sorted(found, key=lambda one: -abs(one["change_percent_of_output_at_capacity"]))
 
 
 def _matrix_of(path: Path, model: Model) -> BalanceMatrix:
-    """A matrix from its file, or from a schedule by calibrating."""
+    """Balance matrix from its file, or from a schedule by calibration."""
     text = "" if is_workbook(path) else read_text(path)
     if text.lstrip().startswith("{") or is_balfit_matrix(text[:4096]):
         return read_matrix(path)

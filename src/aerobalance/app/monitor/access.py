@@ -1,4 +1,4 @@
-"""Who may use the page: hosts, origins and the token are checked before anything else happens."""
+"""Access control of the monitor's server: Host and Origin headers and the token are checked before each request."""
 
 from __future__ import annotations
 
@@ -18,14 +18,13 @@ POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self'; frame-src 'self'; "
     "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
 )
-"""What the page may load: nothing that does not come from this server."""
+"""Content security policy of the page: it loads nothing that does not come from this server."""
 
 REPORT_POLICY: Final = (
     "default-src 'none'; style-src 'unsafe-inline'; img-src data:; base-uri 'none'; form-action 'none'; "
     "frame-ancestors 'self'; sandbox"
 )
-"""What a report may do: show itself. Its styles are within it, and it runs no script."""
-
+"""Content security policy of a report: its styles are inline, and it runs no script."""
 
 HEADERS: Final = {
     "content-security-policy": POLICY,
@@ -35,11 +34,11 @@ HEADERS: Final = {
     "cross-origin-resource-policy": "same-origin",
     "cache-control": "no-store",
 }
-"""What every answer says to browsers, where it does not say otherwise itself."""
+"""Headers of every response that does not set them itself."""
 
 
 def is_loopback(host: str) -> bool:
-    """Return whether an address is that of this computer alone."""
+    """Return whether a host name or address is the loopback, which only this computer reaches."""
     if host == "localhost":
         return True
     try:
@@ -50,18 +49,18 @@ def is_loopback(host: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class AccessPolicy:
-    """Where the server listens, and what it asks for.
+    """Address of the server, and what a request must have to be answered.
 
     Attributes
     ----------
     host, port
-        Where it listens.
+        Address and port on which it listens.
     token
-        What a viewer must know; None on loopback alone.
+        Secret that a viewer must know; None is allowed on the loopback only.
     secure
         Whether it speaks TLS.
     names
-        Further names that it may be reached under.
+        Further host names under which it may be reached.
     """
 
     host: str
@@ -80,7 +79,11 @@ class AccessPolicy:
             check_token(self.token)
 
     def host_allowed(self, host: str) -> bool:
-        """Whether a request is for this server: a page elsewhere may have had its name point here."""
+        """Whether the Host header names this server.
+
+        Other names are refused, as a foreign page may have its own name resolve to this address (DNS rebinding); an
+        address cannot do that, and is allowed where the server is not on the loopback.
+        """
         name, port = _split(host)
         if port != (self.port if port else None) and port is not None:
             return False
@@ -91,12 +94,12 @@ class AccessPolicy:
         return not is_loopback(self.host) and _is_address(name)
 
     def origin_allowed(self, origin: str, host: str) -> bool:
-        """Whether a request comes from this server's own page."""
+        """Whether the Origin header is that of this server's own page."""
         return origin == f"{'https' if self.secure else 'http'}://{host}"
 
 
 def _split(host: str) -> tuple[str, int | None]:
-    """Name and port of a Host header; a port that is none is 0."""
+    """Name and port of a Host header; None without a port, and 0 for a port that is not a number."""
     name, colon, port = host.rpartition(":")
     if not colon or host.endswith("]"):
         return host.strip("[]"), None
@@ -112,14 +115,14 @@ def _is_address(name: str) -> bool:
 
 
 class AccessControl:
-    """Lets requests through to the page, or not.
+    """ASGI application that passes allowed requests on to the page and refuses others.
 
     Parameters
     ----------
     app
         The page.
     policy
-        What is asked for.
+        What a request must have.
     """
 
     def __init__(self, app: ASGIApp, policy: AccessPolicy) -> None:
@@ -127,7 +130,7 @@ class AccessControl:
         self.logins = Logins(policy.token, policy.port)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Check a request and pass it on."""
+        """Pass an allowed request on; answer another with its refusal, or a login with a redirection."""
         if scope["type"] == "lifespan":
             await self._app(scope, receive, send)
             return
@@ -136,19 +139,20 @@ class AccessControl:
         if status and scope["type"] == "websocket":
             answer = WebSocketClose(1008, text)
         elif status == 303:
-            answer = self._let_in()
+            answer = self._logged_in()
         elif status:
             answer = PlainTextResponse(text, status)
         await answer(scope, receive, _with_headers(send))
 
-    def _let_in(self) -> Response:
+    def _logged_in(self) -> Response:
+        """Redirection to the page that sets the login cookie, so that the token does not stay in the address."""
         answer = RedirectResponse("/", 303)
         logins, secure = self.logins, self._policy.secure
         answer.set_cookie(logins.name, logins.cookie, httponly=True, samesite="strict", secure=secure)
         return answer
 
     def _check(self, request: HTTPConnection) -> tuple[int, str]:
-        """Status and reason of a refusal; status 0 for none."""
+        """HTTP status and reason of a refusal; status 0 where the request is allowed, 303 for a login."""
         policy, headers = self._policy, request.headers
         host, origin = headers.get("host", ""), headers.get("origin")
         if not policy.host_allowed(host):
@@ -159,13 +163,13 @@ class AccessControl:
         if (
             safe
             and headers.get("sec-fetch-site", "same-origin") not in ("same-origin", "none")
-            and (request.scope["path"] != "/")
+            and (request.scope["path"] != "/")  # another site may hold a link to the page itself
         ):
             return 403, "this is not asked by the page of this server"
         return self._check_token(request, asked=safe)
 
     def _check_token(self, request: HTTPConnection, *, asked: bool) -> tuple[int, str]:
-        """Status and reason of a refusal of who does not know the token; 303 for who has just shown it."""
+        """HTTP status and reason of a refusal without a login; status 303 where the request has a right token."""
         logins = self.logins
         if not logins.asked:
             return 0, ""
@@ -185,7 +189,7 @@ class AccessControl:
 
 
 def _with_headers(send: Send) -> Send:
-    """Add what every answer says to browsers."""
+    """Return `send` with `HEADERS` added to each response."""
 
     async def sending(message: Message) -> None:
         if message["type"] == "http.response.start":

@@ -1,6 +1,7 @@
-"""Readings of a run that cannot be: wild and stuck samples, dead channels, angles that nothing has.
+"""Readings of a run that are not physical: outliers (wild samples), stuck samples, dead channels, impossible angles.
 
-Wild and stuck samples are missing in the loads; in the ground's motion neighbours fill the wild ones.
+In the loads, wild and stuck samples are made missing (NaN). In the channels of the ground's motion, stuck samples are
+made missing, and wild ones are replaced by the value of a polynomial fitted to their neighbours.
 """
 
 from __future__ import annotations
@@ -23,35 +24,34 @@ from aerobalance.recording.stuck_samples import is_dead, stuck_samples
 from aerobalance.recording.wild_samples import wild_samples
 
 DEAD: Final = 0.9
-"""Share of stuck samples from which on a channel says nothing."""
+"""Share of stuck samples above which a channel is useless."""
 
 LARGEST: Final = {"pitch": 90.0, "roll": 180.0}
-"""Angles that pitch and roll do not pass, by what they are [deg]."""
+"""Largest magnitude that pitch and roll can have by their definition [deg]."""
 
 BESIDE: Final = 8
-"""Readings on either side by which a wild sample of the ground's motion is filled."""
-
+"""Readings on either side of a wild sample of the ground's motion to which a polynomial is fitted."""
 
 DEGREE: Final = 5
-"""Degree of the polynomial through these."""
+"""Degree of that polynomial."""
 
 
 def without_wild_samples(
     given: Recording | Loads, components: Sequence[str]
 ) -> tuple[Recording | Loads, tuple[Doubt, ...]]:
-    """Return a run without its wild samples, and what is to be said of them.
+    """Return a run without its wild and stuck samples, and the doubts about wild, stuck and clipped ones.
 
     Parameters
     ----------
     given
         The run.
     components
-        Components whose loads are looked at, beside the channels of the ground's motion.
+        Components whose loads are examined, beside the channels of the ground's motion.
 
     Raises
     ------
     FitError
-        A load was stuck nearly all the time.
+        More than the share `DEAD` of the samples of a load are stuck.
     """
     recording = given.recording if isinstance(given, Loads) else given
     doubts: list[Doubt] = []
@@ -87,15 +87,15 @@ def without_wild_samples(
 
 
 def impossible_channels(given: Recording | Loads, dynamics: BalanceDynamics) -> tuple[Doubt, ...]:
-    """Return what is to be said of channels as a whole: those that never change, and angles that nothing has.
+    """Return the doubts about channels as a whole: dead ones, and angles beyond their largest magnitude.
 
     Parameters
     ----------
     given
         The run.
     dynamics
-        Those of the components whose loads are looked at, beside the channels of the ground's motion: a load is said
-        something of with every force that needs it.
+        Dynamics of the components whose loads are examined, beside the channels of the ground's motion: a doubt about
+        a load is returned for each component whose force depends on that load.
     """
     recording = given.recording if isinstance(given, Loads) else given
     present = [name for name in dynamics.components if name in recording]
@@ -114,10 +114,11 @@ def _of_ground(name: str) -> bool:
 
 
 def _doubts_of_channel(recording: Recording, channel: Channel, component: str) -> Iterator[Doubt]:
-    """What is to be said of a channel as a whole."""
+    """Doubts about a channel as a whole."""
     name, unit = channel.name, si_unit(component)
     angle = name in LARGEST
-    if not angle and channel.noise != 0 and is_dead(channel.values):  # what has no noise may well be still
+    # a channel without noise, as of a simulation, may be constant
+    if not angle and channel.noise != 0 and is_dead(channel.values):
         reading = float(channel.values[np.isfinite(channel.values)][0])
         text = f"{name} reads {reading:.6g} {channel.unit} in all {recording.samples} samples: the channel is dead"
         size = abs(reading) if name == component and reading else None  # all of the load may be wrong
@@ -132,7 +133,10 @@ def _doubts_of_channel(recording: Recording, channel: Channel, component: str) -
 
 
 def _filled(values: Array, wild: NDArray[np.bool_]) -> Array:
-    """Readings with the wild ones on a polynomial through those about them, shape (n,)."""
+    """Readings with wild ones replaced by a polynomial fitted to their neighbours, shape (n,).
+
+    A wild one with too few sound neighbours for the fit stays as it is.
+    """
     filled = values.copy()
     sound = np.isfinite(values) & ~wild
     for place in np.flatnonzero(wild):
@@ -153,7 +157,7 @@ def _doubts(
     stuck: NDArray[np.bool_],
     limited: NDArray[np.bool_],
 ) -> Iterator[Doubt]:
-    """What is to be said of the samples of a channel."""
+    """Doubts about the samples of a channel."""
     name, unit = channel.name, si_unit(component)
     if wild.any():
         what = "taken for missing" if name == component else "neighbours are taken instead"
@@ -180,7 +184,7 @@ def _samples(chosen: NDArray[np.bool_]) -> str:
 
 
 def _instants(recording: Recording, chosen: NDArray[np.bool_]) -> str:
-    """The first instants of runs of samples, in words."""
+    """Instants at which the first three runs of chosen samples begin, in words [s]."""
     places = np.flatnonzero(chosen)
     begins = places[np.diff(places, prepend=-2) > 1]
     instants = [f"{recording.start + place / recording.rate:.6g}" for place in begins[:3]]

@@ -1,9 +1,9 @@
-"""The color of a reading's noise, seen in the record itself where a force cannot well be.
+"""Spectrum of a reading's noise that is not white, estimated from the record where a force is unlikely.
 
-Above its natural frequency the balance shows less and less of a force. What lies there in the readings is a force
-whose level is constant over bands, which the readings show as |G|^2, or a noise whose level is constant over bands:
-whichever needs fewer changes of level. As a force, noise would be enlarged by 1 / |G|. Converters have filters and
-interpolate, so that a record sampled far above the natural frequency always shows it.
+Above its natural frequency the response G of the balance to a force decreases. The spectrum of the readings there is
+explained either by a force with a piecewise constant spectrum, multiplied by |G|^2, or by a noise with a piecewise
+constant spectrum: by the one that needs fewer changes of level. Noise that is taken for force is amplified by 1 / |G|.
+Converters filter and interpolate, so that a record sampled far above the natural frequency always has such noise.
 """
 
 from __future__ import annotations
@@ -30,13 +30,13 @@ DECISIVE: Final = 10.0
 """Gain in log-likelihood that a force must bring over the color of the noise: by itself, noise is likelier."""
 
 DIFFERENT: Final = 1.5
-"""Ratio of the densities of a noise below which it is taken for white: its uncertainty is then right to a fifth."""
+"""Ratio of largest to least density of a noise below which it is taken for white: u is then right to a fifth."""
 
 DEPARTURE: Final = 0.2
-"""Logarithm of the ratio of powers from which on the noise of a run is not that of the record of noise."""
+"""Logarithm of the ratio of powers above which the noise of a run differs from that of the record of noise."""
 
 FEWEST_ORDINATES: Final = 64
-"""Independent ordinates above the natural frequency from which on a floor is looked at."""
+"""Independent ordinates above the natural frequency from which on a noise floor is estimated."""
 
 BLOCKS: Final = 16
 """Parts of a record whose powers are compared."""
@@ -48,7 +48,7 @@ STANDS_OUT: Final = 3.0
 """Density there, over that on either side, from which on it is: an edge of a band has its level on one side."""
 
 LASTING: Final = 0.5
-"""Power beyond white noise of the middlemost part over the mean of all, below which it is there only for a while."""
+"""Median over mean of the parts' powers beyond white noise, below which the excess is not stationary."""
 
 GRID: Final = 8193
 """Frequencies at which spectra are compared."""
@@ -64,7 +64,7 @@ class Floor:
     Attributes
     ----------
     first, last
-        Where it is above its lowest level [Hz].
+        Lowest and highest frequency at which its density exceeds `DIFFERENT` times its least one [Hz].
     in_reading
         Its root mean square in the reading, beyond white noise [N].
     as_force
@@ -72,7 +72,7 @@ class Floor:
     white
         Standard deviation of its white part [N].
     color
-        What it has beyond that.
+        The part that is not white.
     """
 
     first: float
@@ -88,7 +88,7 @@ class Floor:
         return self.as_force > self.in_reading
 
     def doubt(self, component: str, *, unit: str) -> Doubt:
-        """What it says against the force."""
+        """Doubt that this noise may be a force that is missing from the result."""
         seen = (
             f"{component} shows {self.in_reading:.2g} {unit} rms between {self.first:.3g} and {self.last:.3g} Hz "
             "above the white noise of its readings: it is taken for noise of the electronics and not for a force of "
@@ -100,12 +100,12 @@ class Floor:
 
 
 def with_floor(reading: Observation, *, left: Array) -> tuple[Observation, Floor | None]:
-    """The reading with what it shows far above the natural frequency: the color of the noise, or a force there.
+    """The reading with the color of its noise far above the natural frequency, and that noise; None where it is white.
 
     Parameters
     ----------
     reading
-        The record; what is known of the color of its noise stays as it is.
+        The record; if the color of its noise is known already, it is returned unchanged.
     left
         The readings without steps and hum as far as they are known, shape (n,) [N].
     """
@@ -140,7 +140,7 @@ def with_floor(reading: Observation, *, left: Array) -> tuple[Observation, Floor
 
 
 def _rings(found: NoiseLevels, frequency: Array) -> bool:
-    """Whether the highest level stands out of those beside it as narrowly as a mode does: no electronics is so."""
+    """Whether the highest level is a peak as narrow as that of a mode, which noise of electronics does not have."""
     place = int(np.argmax(found.density))
     centre, highest = float(frequency[place]), float(found.density[place])
     beside = np.interp(centre * np.array([1 - NARROW, 1 + NARROW]), frequency, found.density)
@@ -150,15 +150,15 @@ def _rings(found: NoiseLevels, frequency: Array) -> bool:
 def _likeliest(
     reading: Observation, periodogram: Periodogram, found: Sequence[NoiseLevels], *, left: Array, given: float | None
 ) -> Floor | None:
-    """The color of the noise that explains a record without gaps as well as force in white noise does, or better."""
+    """The likeliest colored noise; None where a force in white noise explains the record clearly better."""
     share, best, evidence = share_seen(reading.present), None, -np.inf
     for one in found:
         floor = _floor(reading, periodogram, one, share=share)
         colored = periodogram_of(replace(reading, color=floor.color), left, share=share)
         white = share * floor.white**2 * reading.interval
         fit = fit_spectrum(colored, noise_density=white, rising=reading.rising)
-        if fit.evidence - _price(one, periodogram) > evidence:
-            best, evidence = floor, fit.evidence - _price(one, periodogram)
+        if fit.evidence - _schwarz_penalty(one, periodogram) > evidence:
+            best, evidence = floor, fit.evidence - _schwarz_penalty(one, periodogram)
     if best is None:
         return None
     # the competitor that segments cannot imitate: a force that rolls off into white noise
@@ -171,14 +171,14 @@ def _likeliest(
     return replace(best, as_force=as_force) if evidence > plain.evidence - DECISIVE else None
 
 
-def _price(found: NoiseLevels, periodogram: Periodogram) -> float:
-    """Schwarz's price of the levels of a noise and the edges between them [1]."""
+def _schwarz_penalty(found: NoiseLevels, periodogram: Periodogram) -> float:
+    """Penalty of the Bayesian information criterion (Schwarz) for the levels of a noise and their edges [1]."""
     changes = np.count_nonzero(np.diff(found.density))
     return changes * float(np.log(np.sum(periodogram.weight)))
 
 
 def _floor(reading: Observation, periodogram: Periodogram, found: NoiseLevels, *, share: float) -> Floor:
-    """The noise of a record by its levels."""
+    """The noise of a record as a filter of white noise, fitted to its levels."""
     profile = found.density / share
     interval, frequency = reading.interval, periodogram.frequency
     white = float(profile.min())
@@ -204,9 +204,9 @@ def _floor(reading: Observation, periodogram: Periodogram, found: NoiseLevels, *
 
 
 def lasts(left: Array, *, first: float, interval: float, noise: float, last: float = np.inf) -> bool:
-    """Whether what lies between two frequencies [Hz] is there all the time, as the noise of electronics is.
+    """Whether the power between two frequencies [Hz] is stationary, as that of the noise of electronics is.
 
-    A burst is none, and is told where the innovations show it (`aerobalance.estimation.force`).
+    A burst is not; it is reported where the innovations show it (`aerobalance.estimation.force`).
     """
     taper = hann(left.size)  # without it the ends of the record, which do not meet, ring in all of it
     transform = np.fft.rfft((left - left.mean()) * taper)

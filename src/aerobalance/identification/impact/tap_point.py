@@ -1,4 +1,4 @@
-"""Where a tap is given and which way it pushes, and the balance loads of one newton there."""
+"""Point and direction of a hammer tap, and the balance loads of a force of 1 N there."""
 
 from __future__ import annotations
 
@@ -14,29 +14,29 @@ from aerobalance.recording.components import COMPONENTS, FROM_VECTORS
 from aerobalance.recording.recording import Recording
 
 U_PLACE: Final = 0.001
-"""Standard uncertainty of every coordinate of a point where none is given [m]."""
+"""Default standard uncertainty of each coordinate of a point [m]."""
 
 U_DIRECTION: Final = float(np.deg2rad(1.0))
-"""Standard uncertainty of a direction across it, either way, where none is given [rad]."""
+"""Default standard uncertainty of a direction about each of two axes perpendicular to it [rad]."""
 
 U_GAIN: Final = 0.01
-"""Standard uncertainty of the gain of a measured force where its channel states none [1]."""
+"""Default relative standard uncertainty of the gain of a measured force, where its channel states none [1]."""
 
 
 @dataclass(frozen=True, slots=True)
 class TapPoint:
-    """Where taps are given and which way they push the model.
+    """Point and direction of the taps on the model.
 
     Attributes
     ----------
     place
-        From the balance's centre aft, right and up [m].
+        Coordinates aft, right and up from the balance's centre [m].
     direction
-        Unit vector along which the force pushes the model: its shares aft, right and up [1].
+        Unit vector of the force on the model: its components aft, right and up [1].
     u_place
-        Standard uncertainty of every coordinate of `place` [m].
+        Standard uncertainty of each coordinate of `place` [m].
     u_direction
-        Standard uncertainty of the direction across it, either way [rad].
+        Standard uncertainty of the direction about each of two axes perpendicular to it [rad].
     """
 
     place: tuple[float, float, float]
@@ -56,12 +56,15 @@ class TapPoint:
 
     @property
     def loads(self) -> Array:
-        """Loads of 1 N about the balance's centre, in the order of `COMPONENTS`, shape (6,) [N, N*m]."""
+        """Balance loads of 1 N about the balance's centre, in the order of `COMPONENTS`, shape (6,) [N, N*m]."""
         return wrench(np.array(self.place), np.array(self.direction))
 
     @property
     def root(self) -> Array:
-        """Root of the covariance of `loads`, shape (6, 12): to first order, and what products of two errors make."""
+        """Square root R of the covariance R R^T of `loads`, shape (6, 12) [N, N*m].
+
+        It has the terms of first order, and those of second order of point times direction and direction squared.
+        """
         place, direction = np.array(self.place), np.array(self.direction)
         across = np.linalg.svd(direction[None])[2][1:]
         moved = [FROM_VECTORS @ np.concatenate([np.zeros(3), np.cross(unit, direction)]) for unit in np.eye(3)]
@@ -74,7 +77,9 @@ class TapPoint:
                 self.u_place * np.array(moved).T,
                 self.u_direction * np.array(turned).T,
                 self.u_place * self.u_direction * np.array(both).T,
-                1.5 * self.u_direction**2 * self.loads,  # the cosine: a mean of u^2 and a deviation of u^2
+                1.5
+                * self.u_direction**2
+                * self.loads,  # 1 - cos of both angles: mean u^2, deviation u^2, rms 1.41 u^2
             ]
         )
 
@@ -85,12 +90,12 @@ class TapPoint:
 
 
 def wrench(place: Array, force: Array) -> Array:
-    """Return the balance loads of a force at a place, shape (6,)."""
+    """Return the balance loads of a force [N] at a place [m], in the order of `COMPONENTS`, shape (6,) [N, N*m]."""
     return np.asarray(FROM_VECTORS @ np.concatenate([force, np.cross(place, force)]))
 
 
 def point_of(recording: Recording, given: TapPoint | None) -> TapPoint | None:
-    """Return where a recording's taps are: as given, or as the channel of its force says; None where neither does."""
+    """Return point and direction of a recording's taps: as given, or of its channel of the force; None else."""
     if given is not None or IMPACT_FORCE not in recording:
         return given
     channel = recording.channel(IMPACT_FORCE)
@@ -100,7 +105,10 @@ def point_of(recording: Recording, given: TapPoint | None) -> TapPoint | None:
 
 
 def fit_point(point: TapPoint | None, components: Sequence[str], sizes: Array) -> Point:
-    """Return the loads of 1 N on some components, over their sizes; without a point along the one component."""
+    """Return the loads of 1 N on some components over their sizes, with a root of their covariance.
+
+    Without a point, the force acts along the one component.
+    """
     if point is None:
         return Point(f"along {components[0]}", 1 / sizes, np.zeros((1, 0)))
     rows = [COMPONENTS.index(name) for name in components]

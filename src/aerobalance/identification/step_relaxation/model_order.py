@@ -1,4 +1,4 @@
-"""How many modes beside one for each component a set of releases shows: of a model or sting that bends."""
+"""Number of modes in a set of releases: one for each component, and more where the model or the sting bends."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
 
 MOST: Final = 3
-"""Modes beside one for each component that are looked for."""
+"""Largest number of modes beyond one for each component."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +48,8 @@ class ModelOrderSettings:
     evidence
         Log-likelihood that a further mode must gain beyond what its parameters may gain by chance.
     lost
-        Part of its gain that a mode may lose where releases begin at rest: what rings before them as well is no mode.
+        Share of its gain in log-likelihood that a further mode may lose when the releases must begin at rest [1]: what
+        oscillates before them as well is not a mode.
     beyond_structure
         Distance of a mode's static contribution from 0 to 1 beyond which it is no mode of a structure.
     least_decay
@@ -86,11 +87,11 @@ class ModelOrderSettings:
 
 
 SETTINGS: Final = ModelOrderSettings()
-"""Thresholds that are used."""
+"""The thresholds in use."""
 
 
 IN_TWO: Final = "one mode more takes the place of one that is not linear"
-"""What is said of such modes."""
+"""Reason given where a further mode only replaces one that is not linear."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,9 +103,9 @@ class ChosenFit:
     fit, units
         The fit.
     peak
-        Frequency of what rings beside the modes fitted [Hz], or None.
+        Frequency of an oscillation that the fitted modes do not explain [Hz], or None.
     why
-        What stood against a further mode that the decays show, or None.
+        Reason against a further mode that the decays show, or None.
     """
 
     fit: ReleaseFit
@@ -114,7 +115,7 @@ class ChosenFit:
 
 
 def fit_modes(records: Sequence[ReleaseRecord], *, sizes: Array, modes: int | Literal["auto"]) -> ChosenFit:
-    """Fit a number of modes, or as many as the decays show.
+    """Return the fit with a number of modes, or with as many as the releases show.
 
     Raises
     ------
@@ -132,16 +133,16 @@ def fit_modes(records: Sequence[ReleaseRecord], *, sizes: Array, modes: int | Li
     try:
         fit = with_edges(free, records, units)
     except (FitError, np.linalg.LinAlgError) as problem:
-        return _without(records, sizes, IN_TWO if len(_twins(free)) else str(problem))
-    against = _against(fit)
+        return _one_mode_each(records, sizes, IN_TWO if len(_twins(free)) else str(problem))
+    against = _reason_against(fit)
     if against is not None:
-        return _without(records, sizes, against)
+        return _one_mode_each(records, sizes, against)
     if gain_over(free, fit) > SETTINGS.lost * gain:
-        return _without(records, sizes, "its motion does not begin at rest with the releases")
+        return _one_mode_each(records, sizes, "its motion does not begin at rest with the releases")
     return ChosenFit(fit, units, missed(fit, units, records))
 
 
-def _without(records: Sequence[ReleaseRecord], sizes: Array, why: str) -> ChosenFit:
+def _one_mode_each(records: Sequence[ReleaseRecord], sizes: Array, why: str) -> ChosenFit:
     """The fit with one mode for each component, although the decays show more."""
     free, units = fit_decays(records, sizes=sizes, start=guess_of(records))
     fit = with_edges(free, records, units)
@@ -154,7 +155,7 @@ def free_decays(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[Rele
     internal = free.internal
     while internal < MOST and peak_of(free, units, records) is not None:
         internal += 1
-        if _hopeless(internal, free, records):
+        if _not_worth_a_fit(internal, free, records):
             continue
         try:
             larger, others = decays_with(internal, records, sizes=sizes)
@@ -170,11 +171,11 @@ def free_decays(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[Rele
     return free, units, gain
 
 
-def _hopeless(internal: int, free: ReleaseFit, records: Sequence[ReleaseRecord]) -> bool:
-    """Whether a quick look that explains the decays says that so many modes are no better than fewer, or are no modes.
+def _not_worth_a_fit(internal: int, free: ReleaseFit, records: Sequence[ReleaseRecord]) -> bool:
+    """Whether a quick fit that explains the decays shows that so many modes are not better, or not lightly damped.
 
-    The fit itself takes a hundred times as long, and what a calibration has left of terms that are not linear keeps
-    calling for modes that it will not find.
+    The full fit takes a hundred times as long, and nonlinear terms that a calibration has left make peaks in the
+    residuals again and again, for which no mode is found.
     """
     decays, rate = decays_of(records, 0.0), records[0].rate
     fewer, quick = (
@@ -212,7 +213,7 @@ def decays_with(internal: int, records: Sequence[ReleaseRecord], *, sizes: Array
 
 
 def _beginning(records: Sequence[ReleaseRecord], *, sizes: Array) -> tuple[ReleaseFit, Units, float]:
-    """Free decays with the fewest modes that a quick look explains to the noise, where that is sure; one each else."""
+    """Free decays with the fewest modes with which a quick fit reaches the noise; else with one for each component."""
     decays, rate = decays_of(records, 0.0), records[0].rate
     count, before = max(sum(decay.size for decay in decays), 1), np.inf
     for internal in range(MOST + 1) if decays else ():
@@ -295,8 +296,8 @@ def _twins(fit: ReleaseFit) -> NDArray[np.intp]:
     return np.argwhere(np.triu(near & alike, 1))
 
 
-def _against(fit: ReleaseFit) -> str | None:
-    """What speaks against modes of a structure in the part of the loads at rest that each mode carries, or None.
+def _reason_against(fit: ReleaseFit) -> str | None:
+    """Reason why the modal contributions to a steady load are not those of a structure, or None.
 
     Two modes of the balance may be near each other and of one shape: they carry 2 between them. Where a mode is not
     linear, the two into which it splits carry its 1.
@@ -314,7 +315,7 @@ def _against(fit: ReleaseFit) -> str | None:
 
 
 def missed(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> float | None:
-    """Frequency of what rings beside the modes fitted [Hz], or None.
+    """Frequency of an oscillation that the fitted modes do not explain [Hz], or None.
 
     That of the narrow peak in the residuals, or rather of the mode that a motion with one more has and the fit lacks,
     where the decays show it clearly: the residuals are that mode less what the others take of it, and may have no peak
@@ -348,7 +349,7 @@ def peak_of(fit: ReleaseFit, units: Units, records: Sequence[ReleaseRecord]) -> 
     """Frequency of the clearest narrow peak in the residuals after the edges [Hz]; None where they are as noise.
 
     The power of white noise, summed over r records, n components and w frequencies, is half a chi2 of 2 r n w degrees
-    of freedom; its level is the median around, so that noise that is coloured smoothly makes no peak. What may be
+    of freedom; its level is the median around, so that smoothly colored noise makes no peak. What may be
     products of modes is in the level, but not in the peaks.
     """
     count = min(len(linear.ringing) for linear in fit.linears)
@@ -385,7 +386,7 @@ def _power(values: Array) -> Array:
 
 
 def _products(fit: ReleaseFit, *, count: int, interval: float) -> Array:
-    """What products of two modes and sizes of one can look like: an orthonormal basis, shape (count, k).
+    """Orthonormal basis of what products of two modes and magnitudes of one can look like, shape (count, k).
 
     What a calibration has left of terms such as X^2 and |X| rings at sums and differences of the modes, zero among
     them, and dies away with both, or with one. It is no further mode.
@@ -400,7 +401,7 @@ def _products(fit: ReleaseFit, *, count: int, interval: float) -> Array:
 
 
 def _rings_before(fit: ReleaseFit, line: float, units: Units, records: Sequence[ReleaseRecord]) -> bool:
-    """Whether a line is there before the releases as well, as hum is: over stretches of one length on both sides."""
+    """Whether a line is present before the releases too, as hum is, in intervals of equal length before and after."""
     before, after = 0.0, 0.0
     for segment, linear, record in zip(fit.segments, fit.linears, records, strict=True):
         held = int(np.searchsorted(segment.time, -margin_of(record, units)))
@@ -412,7 +413,7 @@ def _rings_before(fit: ReleaseFit, line: float, units: Units, records: Sequence[
 
 
 def _power_of(line: float, time: Array, values: Array, noise: Array) -> float:
-    """Squares of the amplitudes of a line over the noise, less what noise makes of them."""
+    """Sum of squared amplitudes of a line over the noise, less its expectation under noise alone [1]."""
     waves = np.column_stack([np.cos(line * time), np.sin(line * time), np.ones(time.size)])
     sizes = np.linalg.lstsq(waves, values @ whitener_of(noise).T, rcond=None)[0][:2]
     return float(np.sum(sizes**2) - 4 * values.shape[1] / time.size)
