@@ -10,6 +10,7 @@ import sys
 import time
 import warnings
 import zlib
+from multiprocessing import Pipe
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -18,6 +19,7 @@ import numpy as np
 import pytest
 
 from aerobalance.acquisition import recorder as recorder_module
+from aerobalance.acquisition.feed import Address
 from aerobalance.acquisition.intake import OnCall, RecordPlan
 from aerobalance.acquisition.recorder import RecorderCommand, RecordJob, RecordWriter
 from aerobalance.acquisition.session import Session
@@ -475,6 +477,19 @@ def test_signal_while_the_command_starts_leaves_nothing_running(delay, tmp_path)
     assert process.returncode != 1 or "before the record began" in err
     assert "Traceback" not in err
     gone(started)
+
+
+def test_a_recorder_without_source_and_starter_ends_without_a_word(tmp_path) -> None:
+    """As where all are told to end while they start: what it would tell has nobody to hear it."""
+    own, starter = Pipe()
+    starter.close()
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        recorder_module.run_recorder(job(tmp_path / "run.h5"), Address(str(tmp_path / "socket"), b"key"), own)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+    assert not (tmp_path / "run.h5").exists()
 
 
 def test_kill_of_the_command_ends_the_record_and_leaves_no_process(tmp_path) -> None:

@@ -306,7 +306,8 @@ def run_recorder(job: RecordJob, address: Address, control: Connection[Any, Any]
         take = RecordWriter(job)
     except (OSError, EOFError, RuntimeError) as problem:
         text = "the source is gone" if isinstance(problem, EOFError) else plain_reason(problem)
-        control.send(Progress("failed", f"cannot record to {job.path}: {text}", job.path))
+        with contextlib.suppress(OSError):  # who started it may be gone as well
+            control.send(Progress("failed", f"cannot record to {job.path}: {text}", job.path))
         return
     teller = Sender(control, _UNHEARD)
     _tell(teller, take.progress)
