@@ -242,7 +242,6 @@ def test_noise_alone_is_no_reason_to_keep_it(rng) -> None:
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
 def test_the_command_writes_every_sample_of_the_record(rng, tmp_path: Path, monkeypatch) -> None:
-    monkeypatch.setattr("aerobalance.estimation.force_parts.DIVISION", SHORT)
     monkeypatch.setattr("aerobalance.estimation.force.DIVISION", SHORT)
     _, load = force_and_load(rng, steps=())
     record = recording(load)

@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
@@ -76,37 +76,6 @@ class WorkingClockSettings:
 
 SETTINGS: Final = WorkingClockSettings()
 """The settings in use."""
-
-
-class WorkingRecord(Protocol):
-    """A record as the estimator reads it: on its own or a slower clock, gauge outputs converted to balance loads."""
-
-    @property
-    def name(self) -> str:
-        """What it is called in messages."""
-
-    @property
-    def samples(self) -> int:
-        """Number of samples of the clock on which its forces are estimated."""
-
-    @property
-    def rate(self) -> float:
-        """Sampling rate of that clock [Hz]."""
-
-    @property
-    def start(self) -> float:
-        """Time of the first sample [s]."""
-
-    @property
-    def epoch(self) -> np.datetime64 | None:
-        """Date and time at which the time is zero; None where that is not known."""
-
-    @property
-    def every(self) -> int:
-        """Number of samples of the record for each sample of that clock."""
-
-    def part(self, begin: int, end: int) -> Given:
-        """Samples `begin` to `end` (excluded) of that clock, with balance loads [N, N*m]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,9 +183,8 @@ class DecimatedRecord:
         step = max(SETTINGS.at_once // self.every, 1)
         edges = [*range(begin, end, step), end]
         if len(edges) > 2 and edges[-1] - edges[-2] < step // 2:
-            del edges[
-                -2
-            ]  # a short piece is joined to the one before: the noise of its readings could not be estimated
+            # a short piece is joined to the one before: the noise of its readings could not be estimated
+            del edges[-2]
         pieces, stamps = zip(*side_by_side(self._piece, pairwise(edges)), strict=True)
         joined, whole = _joined(pieces), np.concatenate(stamps)
         del pieces
