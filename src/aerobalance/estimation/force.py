@@ -7,7 +7,6 @@ warnings.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
@@ -41,7 +40,7 @@ from aerobalance.estimation.working_clock import DecimatedRecord, MadeReady, Rec
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, is_gauge
 from aerobalance.recording.doubts import Doubt
-from aerobalance.recording.errors import GAUGES_BECOME_LOADS, DataQualityWarning, FitError, warn_quality
+from aerobalance.recording.errors import GAUGES_BECOME_LOADS, FitError, kept_warnings, warn_quality
 from aerobalance.recording.part_warnings import PartWarnings
 from aerobalance.recording.parts import LongRecord, Part
 from aerobalance.recording.progress import PROGRESS
@@ -219,16 +218,14 @@ class ForceWork:
 
     def _whole(self) -> tuple[ForceRecord, Loads | None]:
         """The whole of a record that is in memory."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DataQualityWarning)  # said of the parts
+        with kept_warnings():  # said of the parts
             given = self.made_ready(self.record.part(0, self.record.samples))
             record = force_record(given, self.dynamics, **self.settings.earth)
         return record, given if isinstance(given, Loads) else None
 
     def force_of(self, part: Part) -> Force:
         """Forces of one part with all that their uncertainty consists of; what is to be said of it was said before."""
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DataQualityWarning)
+        with kept_warnings():
             return self._undivided(self.working.part(part.begin, part.end), whole=True)
 
     def _undivided(self, given: Recording | Loads, *, whole: bool) -> Force:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Final
 
-from aerobalance.recording.errors import DataQualityWarning, warn_quality
+from aerobalance.recording.errors import kept_warnings, warn_quality
 from aerobalance.recording.parts import LongRecord, Part
 
 _NUMBER: Final = re.compile(r"\d[\d.,]*(?:e[+-]?\d+)?")
@@ -34,14 +33,10 @@ class PartWarnings:
         if part.count == 1:
             yield
             return
-        with warnings.catch_warnings(record=True) as caught:
-            warnings.simplefilter("always", DataQualityWarning)
+        with kept_warnings() as said:
             yield
-        for one in caught:
-            if issubclass(one.category, DataQualityWarning):
-                self.add(part, str(one.message))
-            else:
-                warnings.warn_explicit(one.message, one.category, one.filename, one.lineno)
+        for text in said:
+            self.add(part, text)
 
     def add(self, part: Part, text: str) -> None:
         """Note what is to be said of a part."""

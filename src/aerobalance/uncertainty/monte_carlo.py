@@ -16,7 +16,6 @@ References
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from itertools import repeat
@@ -35,7 +34,7 @@ from aerobalance.estimation.record import BalanceRecord, ComponentRecord
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.steps import Step, shape_of
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import DataQualityWarning, warn_quality
+from aerobalance.recording.errors import kept_warnings, warn_quality
 from aerobalance.recording.progress import PROGRESS
 from aerobalance.uncertainty.budget import noise_power, scalars
 from aerobalance.uncertainty.parameter_draws import Change, parameter_errors
@@ -182,8 +181,7 @@ def monte_carlo(force: Force, *, draws: int = 200, seed: int = 1) -> dict[str, M
         warn_quality(said)
         return monte_carlo(part, draws=draws, seed=seed)
     settings = force.settings
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DataQualityWarning)  # said when the force was worked out
+    with kept_warnings():  # said when the force was worked out
         record, filled = force.record, force.filled
         found = {}
         for name, estimate in PROGRESS.each(force.items(), "Monte Carlo of component"):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Sequence
 from typing import Final
 
@@ -22,7 +21,7 @@ from aerobalance.balance.weight_on_zero import (
 )
 from aerobalance.balance.zeros import CLEARLY, CarriedWeight, GaugeZero, Zero
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
-from aerobalance.recording.errors import DataQualityWarning, FitError, argument, warn_quality
+from aerobalance.recording.errors import FitError, argument, kept_warnings, warn_quality
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
 
@@ -158,8 +157,7 @@ def _settled(
     known: CarriedWeight = NotWeighed()
     last = np.full(len(balance.components), np.inf)
     scale = balance.output_scale
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DataQualityWarning)  # what is doubtful is told of the last round
+    with kept_warnings():  # what is doubtful is told of the last round
         for _ in range(MOST_ROUNDS):
             counted = _zero_under(zero, balance, known, gravity=gravity)
             if counted is None or np.max(np.abs(counted.values - last) / scale) < SETTLED:

@@ -8,7 +8,6 @@ that gives a lower bound of the load.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final, NamedTuple
@@ -23,6 +22,7 @@ from aerobalance.motion.sensors import ground_sensors
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, MOMENTS, si_unit
 from aerobalance.recording.doubts import Doubt
+from aerobalance.recording.errors import kept_warnings
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
@@ -125,8 +125,7 @@ def turning_by_angles(
     if dynamics.mass is None:
         return []
     recording = corrected(recording)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # they were given when the force was estimated
+    with kept_warnings():  # they were given when the force was estimated
         measured = GroundFit.of(ground_sensors(recording), rate=recording.rate).columns
     roll = predicted(recording.channel("roll"))[0] if "roll" in recording else np.zeros(recording.samples)
     zero = np.zeros_like(roll)
