@@ -40,6 +40,9 @@ class LoadSettings:
     points_apart: float = 20.0
 
 
+SIDE_BY_SIDE: Final = 64
+"""Rows of a table whose values are compared in one go."""
+
 SETTINGS: Final = LoadSettings()
 """Thresholds that are used."""
 
@@ -56,12 +59,27 @@ def beyond_range(balance: BalanceMatrix, native: Array) -> dict[str, int]:
     """
     if not native.size:
         return {}
-    ends = _excess(balance, np.stack([np.fmin.reduce(native), np.fmax.reduce(native)]))
+    ends = _excess(balance, np.stack([_along_rows(np.fmin, native), _along_rows(np.fmax, native)]))
     if not (ends > SETTINGS.beyond).any():  # as in most records, which takes a tenth of the time
         return {}
     excess = _excess(balance, native)
     counts = np.count_nonzero(excess > SETTINGS.beyond, axis=0).tolist()
     return {name: count for name, count in zip(balance.components, counts, strict=True) if count}
+
+
+def _along_rows(ufunc: np.ufunc, table: Array) -> Array:
+    """What a function of two values makes of all rows of a table, shape (c,).
+
+    Of a long table in blocks of rows side by side: NumPy works on a row of some hundred values ten times as fast as on
+    rows of six.
+    """
+    rows, columns = table.shape
+    whole = rows // SIDE_BY_SIDE
+    if whole < 2:
+        return np.asarray(ufunc.reduce(table))
+    blocks = ufunc.reduce(np.ascontiguousarray(table[: whole * SIDE_BY_SIDE]).reshape(whole, -1))
+    rest = table[whole * SIDE_BY_SIDE :]
+    return np.asarray(ufunc.reduce(np.concatenate([blocks.reshape(SIDE_BY_SIDE, columns), rest])))
 
 
 def _excess(balance: BalanceMatrix, native: Array) -> Array:

@@ -277,7 +277,7 @@ def loads_of_outputs(
     slope = T @ middle
     scatter = np.sqrt(np.maximum(np.diag(slope @ np.diag(noise**2) @ slope.T), 0.0))
     values = native @ T.T if zero.operating_point is None else (native - zero.operating_point) @ T.T
-    apart = _apart(balance, native, zero, channels, transform=T)
+    apart = _apart(native, zero, channels, slope=slope, transform=T)
     if tare is not None:
         values = values - tare[0]
         apart = apart + tare[1] ** 2
@@ -351,11 +351,11 @@ def _noise(channel: Channel) -> float:
     return channel_noise(channel) if known.size >= 8 and float(np.ptp(known)) > 0 else 0.0
 
 
-def _apart(
-    balance: BalanceMatrix, native: Array, zero: GaugeZero, channels: Sequence[Channel], *, transform: Array
-) -> Array:
-    """Variance of the loads from zeros and the bridges' gains, shape (n, c), or (1, c) where no gain is uncertain."""
-    slope = transform @ balance.sensitivity(_median(np.nan_to_num(native))[None, :])[0]
+def _apart(native: Array, zero: GaugeZero, channels: Sequence[Channel], *, slope: Array, transform: Array) -> Array:
+    """Variance of the loads from zeros and the bridges' gains, shape (n, c), or (1, c) where no gain is uncertain.
+
+    `slope` is how much the loads change with the gauge outputs, shape (c, c) [N, N*m over mV/V].
+    """
     of_zero = slope**2 @ (zero.u**2 + zero.drift**2 / 12)
     gains = np.array([channel.relative_uncertainty for channel in channels])
     if not gains.any():

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
+from scipy.fft import next_fast_len, rfft
 
 from aerobalance.recording.channel import Array
 from aerobalance.recording.linalg import covariance_root
@@ -129,8 +130,9 @@ class Noise:
 
     def covariance_of(self, weights: Array) -> Array:
         """Covariance of weighted sums of the samples, shape (k, k) [N^2]; weights of shape (k, n) [1]."""
-        count = 2 * weights.shape[1]  # twice the record, so that its end does not touch its beginning
-        lines = np.fft.rfft(weights * self.deviation, count, axis=1)
+        # twice the record, so that its end does not touch its beginning
+        count = 2 * next_fast_len(weights.shape[1], real=True)
+        lines = np.asarray(rfft(weights * self.deviation, count), dtype=np.complex128)
         power = self.relative_density(count // 2 + 1) / count
         power[1:-1] *= 2
         return np.asarray(np.real((lines * power) @ lines.conj().T))

@@ -12,7 +12,6 @@ above that band, the record keeps its clock. A record that is one part keeps it 
 
 from __future__ import annotations
 
-import warnings
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -21,14 +20,17 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
+from scipy.fft import rfft
 
 from aerobalance.balance.loads import Loads
 from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.estimation.checks.outliers import without_wild_samples
 from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.components import is_gauge
 from aerobalance.recording.decimation import ROLL_OFF, Decimation
-from aerobalance.recording.errors import DataQualityWarning, FitError
+from aerobalance.recording.errors import FitError, kept_warnings
 from aerobalance.recording.fourier import hann
+from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.parts import Extent, LongRecord
 from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
@@ -220,14 +222,17 @@ class DecimatedRecord:
         recording = corrected(given.recording if isinstance(given, Loads) else given)
         span = self.decimation.span(begin, end)
         stamps = recording.stamps[span.start - wanted.start : span.stop - wanted.start]
-        slow = self._recording(recording, begin, end)
         if not isinstance(given, Loads):
-            return slow, stamps
+            return self._recording(recording, begin, end), stamps
         first = self.decimation.before + begin * self.every - wanted.start
         rows = slice(first, first + (end - begin - 1) * self.every + 1, self.every)
+        values = self.decimation.decimated(given.values, begin, end)
+        # the loads are channels too, unless a filter that they state was undone
+        known = zip(given.components, values.T, strict=True) if recording is given.recording else ()
+        slow = self._recording(recording, begin, end, known=dict(known))
         felt = replace(
             given,
-            values=self.decimation.decimated(given.values, begin, end),
+            values=values,
             native=self.decimation.decimated(given.native, begin, end),
             apart=given.apart if len(given.apart) == 1 else given.apart[rows],
             noise_covariance=given.noise_covariance / self.every,
@@ -235,10 +240,13 @@ class DecimatedRecord:
         )
         return felt, stamps
 
-    def _recording(self, recording: Recording, begin: int, end: int) -> Recording:
-        """The recording with its channels and its clock decimated."""
+    def _recording(
+        self, recording: Recording, begin: int, end: int, *, known: Mapping[str, Array] | None = None
+    ) -> Recording:
+        """The recording with its channels and clock decimated; `known` are channels that are decimated already."""
         factor, count = self.every, end - begin
-        channels = {name: self._channel(one, begin, end) for name, one in recording.channels.items()}
+        known = {} if known is None else known
+        channels = {name: self._channel(one, begin, end, known.get(name)) for name, one in recording.channels.items()}
         start = self.start + begin / self.rate
         span = recording.extent.end - recording.extent.begin
         wanted = self.decimation.wanted(begin, end)
@@ -255,9 +263,9 @@ class DecimatedRecord:
             decimated=factor,
         )
 
-    def _channel(self, channel: Channel, begin: int, end: int) -> Channel:
+    def _channel(self, channel: Channel, begin: int, end: int, known: Array | None) -> Channel:
         """The channel decimated: the standard deviation of white noise falls with the root of the factor."""
-        values = self.decimation.decimated(channel.values[:, None], begin, end)[:, 0]
+        values = self.decimation.decimated(channel.values[:, None], begin, end)[:, 0] if known is None else known
         noise = None if channel.noise is None else channel.noise / np.sqrt(self.every)
         return replace(channel, values=values, noise=noise)
 
@@ -314,10 +322,10 @@ def slower_clock(
         return None
     look = _Look(record.rate, above=_band(record.rate, fitting[0]))
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", DataQualityWarning)  # given when the forces are estimated
+        with kept_warnings():  # given when the forces are estimated
             begins, length = _pieces(record.samples)
-            looked = partial(look.levels, record, made_ready, dynamics, length=length)
+            noise = _noise_of_gauges(record.part(0, length))
+            looked = partial(look.levels, record, made_ready, dynamics, length=length, noise=noise)
             for some in PROGRESS.each([begins[at : at + WORKERS] for at in range(0, len(begins), WORKERS)], "look"):
                 if not look.add(side_by_side(looked, some)):
                     return None
@@ -332,6 +340,22 @@ def slower_clock(
 def _band(rate: float, factor: int) -> float:
     """Pass band of the decimation by a factor: its filter has a gain of 1 up to there [Hz]."""
     return (1 - ROLL_OFF) * rate / (2 * factor)
+
+
+def _noise_of_gauges(given: Given) -> dict[str, float]:
+    """Noise of one reading of each gauge output, judged from the first piece for the look at all of them."""
+    if isinstance(given, Loads):
+        return {}
+    gauges = [channel for channel in given if is_gauge(channel.name) and np.isfinite(channel.values).all()]
+    return {channel.name: noise for channel in gauges if (noise := channel_noise(channel)) > 0}
+
+
+def _with_noise(given: Given, noise: Mapping[str, float]) -> Given:
+    """The readings with the noise of their gauge outputs, which is not judged from them again."""
+    if isinstance(given, Loads) or not noise:
+        return given
+    known = {name: replace(one, noise=noise.get(name, one.noise)) for name, one in given.channels.items()}
+    return replace(given, channels=known)
 
 
 def _pieces(samples: int) -> tuple[list[int], int]:
@@ -376,12 +400,13 @@ class _Look:
         begin: int,
         *,
         length: int,
+        noise: Mapping[str, float],
     ) -> dict[str, Array]:
         """Return the level of each band in each block of a piece by component, as `_levels`.
 
         Where samples are missing, wild, stuck or clipped, nothing is returned for any component.
         """
-        given = made_ready(record.part(begin, begin + length))
+        given = made_ready(_with_noise(record.part(begin, begin + length), noise))
         recording = given.recording if isinstance(given, Loads) else given
         names = [name for name in dynamics.components if name in recording]
         whole = all(np.isfinite(channel.values).all() for channel in recording)
@@ -402,7 +427,8 @@ class _Look:
         segment = min(SETTINGS.segment, values.size)
         count = max(values.size // segment, 1)
         segments = values[: count * segment].reshape(count, segment)
-        spectrum = np.fft.rfft((segments - segments.mean(axis=1, keepdims=True)) * hann(segment))[:, 1:]
+        level = segments.mean(axis=1, keepdims=True)
+        spectrum = np.asarray(rfft((segments - level) * hann(segment)), dtype=np.complex128)[:, 1:]
         power = spectrum.real**2 + spectrum.imag**2
         each = max(power.shape[1] // SETTINGS.bands, 1)
         bands = power[:, : power.shape[1] // each * each].reshape(count, -1, each).mean(axis=2)

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+from scipy.fft import rfft
 from scipy.special import ndtri
 
 from aerobalance.recording.channel import Array, Channel
@@ -42,15 +43,17 @@ def white_noise(values: Array) -> float:
     values
         Readings, shape (n,), at least 8; NaN where missing.
     """
-    present = _middle(values[np.isfinite(values)])
+    known = np.isfinite(values)
+    present = _middle(values if known.all() else values[known])
     if present.size < 8:
         raise ValueError(f"noise needs at least 8 readings, not {present.size}")
     length = int(min(present.size, max(64, present.size // 8)))
     _, power = averaged_spectrum(present, rate=1.0, length=length, less="line")
     density = np.real(power)
     inner = density[2:-1] if density.size > 8 else density
-    bands = np.array_split(inner, min(BANDS, inner.size))
-    levels = np.sort([float(np.mean(band)) for band in bands])
+    count = min(BANDS, inner.size)
+    sizes = inner.size // count + (np.arange(count) < inner.size % count)
+    levels = np.sort(np.add.reduceat(inner, np.cumsum(sizes) - sizes) / sizes)
     level = levels[int(QUIET_SHARE * (levels.size - 1))]
     spectral = float(np.sqrt(level / 2))
     # the third difference of white noise has twenty times its variance
@@ -99,18 +102,20 @@ def noise_correlation(filled: Array) -> Array:
     """
     if filled.shape[0] < FEWEST:
         return np.eye(filled.shape[1])
-    spectrum = np.fft.rfft(np.diff(_middle(filled), 4, axis=0), axis=0)
-    upper = spectrum[spectrum.shape[0] // 2 :]
-    power = np.real(upper.conj().T @ upper)
+    # along rows, as memory has them, and of a long record of a length that is quick to transform
+    changes = np.diff(np.ascontiguousarray(_middle(filled, ENOUGH + 4).T), 4)
+    spectrum = np.asarray(rfft(changes), dtype=np.complex128)
+    upper = spectrum[:, spectrum.shape[1] // 2 :]
+    power = np.real(upper.conj() @ upper.T)
     size = np.sqrt(np.maximum(np.diag(power), 1e-300))
     correlation: Array = power / np.outer(size, size)
     # between independent channels it scatters by 1 / sqrt(2 m) over m ordinates; one in 1e8 passes this
-    correlation[np.abs(correlation) < 4 / np.sqrt(upper.shape[0])] = 0.0
+    correlation[np.abs(correlation) < 4 / np.sqrt(upper.shape[1])] = 0.0
     np.fill_diagonal(correlation, 1.0)
     return correlation
 
 
-def _middle(values: Array) -> Array:
+def _middle(values: Array, length: int = ENOUGH) -> Array:
     """Return the middle of a record, where it is longer than is needed to judge its noise."""
-    first = max((len(values) - ENOUGH) // 2, 0)
-    return values[first : first + ENOUGH]
+    first = max((len(values) - length) // 2, 0)
+    return values[first : first + length]

@@ -59,7 +59,7 @@ def convert_matrix(path: Path, out: Path) -> Result:
     return {"file": path.name, "written": out.name, "components": names, "warnings": collected, "summary": said}
 
 
-ENOUGH: Final = 1 << 14
+ENOUGH: Final = 1 << 12
 """Samples of a part from which the uncertainty of its loads by the calibration is summed up."""
 
 
