@@ -12,7 +12,7 @@ from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks import model_check, resonance
 from aerobalance.estimation.checks.local_modes import SETTINGS, Averaged, missing_mode, own_resonance, smeared
-from aerobalance.estimation.checks.model_check import Misfit, misfit_of
+from aerobalance.estimation.checks.model_check import Misfit, _if_changed, misfit_of
 from aerobalance.estimation.checks.model_error import error_under
 from aerobalance.estimation.checks.near_resonance import near_resonance
 from aerobalance.estimation.force import estimate_force
@@ -272,3 +272,13 @@ def test_the_right_resonance_is_left_alone_and_leaves_little_open(seed):
     # of 400 none was doubted, and of 3 much was left open: of 60 more than these come once in a thousand times
     assert sum(bool(force.doubts) for force in forces) <= 1
     assert sum(force.only.budget.get(model_check.LEFT_OPEN, 0.0) > 5.0 for force in forces) <= 4
+
+
+def test_a_factor_that_is_hardly_told_is_no_change():
+    """The covariance is that of the logarithm: five of its standard uncertainties, whichever way the factor goes."""
+    assert _if_changed(1.68, 0.70) is None  # 2.4 of them, although 5.4 times the damping is 6 times 0.70 more
+    for factor in (5.4, 1 / 5.4):
+        assert _if_changed(np.log(factor), 0.99 * np.log(5.4) / 5) == pytest.approx(
+            (factor - 1, factor * 0.99 * np.log(5.4) / 5)
+        )
+        assert _if_changed(np.log(factor), 1.01 * np.log(5.4) / 5) is None

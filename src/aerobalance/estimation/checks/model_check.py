@@ -335,7 +335,7 @@ def misfit_of(
     if within and learned is not None:
         change, covariance = change_by_steps(reading, within, learned)
         both = [
-            _if_changed((float(np.expm1(one)), float(np.hypot(np.sqrt(variance), dynamics.uncertainty(name) / own))))
+            _if_changed(float(one), float(np.hypot(np.sqrt(variance), dynamics.uncertainty(name) / own)))
             for one, variance, name, own in zip(
                 change,
                 np.diag(covariance),
@@ -445,7 +445,7 @@ def _in_spectrum(values: Array, dynamics: Dynamics, *, interval: float, noise: f
         for index, name in enumerate(("natural_frequency", "damping_ratio")):
             known = dynamics.uncertainty(name) / getattr(dynamics, name)
             u = float(np.hypot(np.sqrt(own[1][index, index]), known))
-            changes[index] = _if_changed((float(np.expm1(own[0][index])), u))
+            changes[index] = _if_changed(float(own[0][index]), u)
     return Misfit(
         dynamics.component,
         missing=None if found is None else found.mode,
@@ -457,6 +457,11 @@ def _in_spectrum(values: Array, dynamics: Dynamics, *, interval: float, noise: f
     )
 
 
-def _if_changed(change: tuple[float, float]) -> tuple[float, float] | None:
-    """A change with its uncertainty where it is more than chance."""
-    return change if abs(change[0]) > SETTINGS.drift * change[1] else None
+def _if_changed(change: float, u: float) -> tuple[float, float] | None:
+    """A relative change with its uncertainty where its logarithm, found with an uncertainty, is more than chance.
+
+    A factor that is hardly told may be large, and its excess over one then says nothing: exp(1.7) - 1 is 4.5, which is
+    six times the 0.7 that the logarithm is uncertain by, and yet 1.7 is no more than 2.4 times that.
+    """
+    factor = float(np.exp(change))
+    return (float(np.expm1(change)), factor * u) if abs(change) > SETTINGS.drift * u else None

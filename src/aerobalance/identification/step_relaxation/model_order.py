@@ -244,9 +244,13 @@ def _with_one_less(
     """Free decays without the mode that rings least."""
     motion = free.motion
     up, _ = pairs(motion)
-    weakest = up[int(np.argmin(np.sum(excitation(free)[1] ** 2, axis=0)))]
-    other = int(np.argmin(np.abs(motion.poles - motion.poles[weakest].conj())))
-    left = np.delete(np.arange(motion.poles.size), [weakest, other])
+    still = np.flatnonzero(motion.poles.imag == 0)
+    if still.size >= 2:  # what does not ring at all is the least of a structure's
+        gone = still[np.argsort(motion.poles[still].real)[:2]]
+    else:
+        weakest = up[int(np.argmin(np.sum(excitation(free)[1] ** 2, axis=0)))]
+        gone = np.array([weakest, int(np.argmin(np.abs(motion.poles - motion.poles[weakest].conj())))])
+    left = np.delete(np.arange(motion.poles.size), gone)
     matrices = from_modes(motion.poles[left], motion.felt[:, left])
     if matrices is None:
         raise FitError("the other modes are not independent of each other")
