@@ -113,7 +113,7 @@ class ResonanceSettings:
     line_beside: float = 2.0
     closer: float = 0.3
     share_shift: float = 0.3
-    iterations: int = 6
+    iterations: int = 20
     settled: float = 0.1
 
 
@@ -471,8 +471,6 @@ def change_by_steps(reading: Observation, steps: Sequence[Step], learned: Spectr
     filter_ = KalmanFilter.of(reading.system(learned), reading.present)
     own, point, count = reading.dynamics, np.zeros(2), len(steps)
     heights = np.array([step.height for step in steps])
-    # beyond a fraction of the width of the resonance the slopes say nothing any more
-    most, small = np.array([0.5 * own.damping_ratio, 0.5]), np.array([0.05 * own.damping_ratio, 0.05])
 
     def felt(moved: Array) -> Array:
         other = own.retuned(frequency=float(np.exp(moved[0])), damping=float(np.exp(moved[1])))
@@ -482,6 +480,8 @@ def change_by_steps(reading: Observation, steps: Sequence[Step], learned: Spectr
     covariance = np.zeros((2, 2))
     for _ in range(SETTINGS.iterations):
         other = own.retuned(frequency=float(np.exp(point[0])), damping=float(np.exp(point[1])))
+        # beyond a fraction of the width of the resonance the slopes say nothing any more
+        most, small = np.array([0.5 * other.damping_ratio, 0.5]), np.array([0.05 * other.damping_ratio, 0.05])
         shapes = instant_columns(replace(reading, dynamics=other), steps, heights=heights)[0]
         slopes = [
             (felt(point + part) - felt(point - part)) @ heights / (2 * step)
