@@ -14,6 +14,7 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from aerobalance.dynamics.coupled import CoupledDynamics
@@ -44,6 +45,9 @@ class ModeShapeSettings:
         Dynamics that are tried at most to come closer to the best.
     tones_above
         Frequency above which tones are taken out, over the lowest natural frequency.
+    broad
+        Damping ratio from which on a mode that was not known with half as much no longer rings: what is likelier
+        with it is a spectrum of the load and no motion of the balance.
     told, told_damping
         Changes of the logarithms of a natural frequency and a damping ratio from which they are told.
     """
@@ -54,6 +58,7 @@ class ModeShapeSettings:
     dampings: tuple[float, ...] = (0.4, 2.5)
     tries: int = 40
     tones_above: float = 0.5
+    broad: float = 0.1
     told: float = 0.001
     told_damping: float = 0.3
 
@@ -87,6 +92,12 @@ class Moved:
         changes = self.changes.copy()
         changes[place] += change
         return replace(self, changes=changes)
+
+    @property
+    def ringing(self) -> NDArray[np.bool_]:
+        """Whether each mode still rings, or was found without a resonance, shape (modes,)."""
+        before = np.array([mode.damping_ratio for mode in self.dynamics.modes])
+        return np.asarray(before * np.exp(self.changes[:, 1]) < np.maximum(SETTINGS.broad, 2 * before))
 
     @property
     def moved(self) -> CoupledDynamics:
@@ -193,10 +204,11 @@ def _moved(ringing: Ringing, dynamics: CoupledDynamics, known: Array, *, least: 
         return None
     found = _closer(ringing, own, everything, tried[int(np.argmax(gains))])
     gain = gain_of(_evidence(ringing, found), known)
-    if gain < least:
+    if gain < least or not found.ringing.any():
         return None
     for place in range(len(found.changes)):
-        found = _closer(ringing, found, place, found)
+        closer = _closer(ringing, found, place, found)
+        found = closer if closer.ringing[place] else found
     frequency, damping = np.max(np.abs(found.changes), axis=0)
     kind = "natural frequency" if frequency > SETTINGS.told or damping < SETTINGS.told_damping else "damping ratio"
     return OtherShapes(kind, (), found.rows, gain, found)
