@@ -51,7 +51,7 @@ def test_cases_have_names_of_their_own_and_known_kinds():
         "ground noise",
         "changing noise",
     }
-    wanted |= {"nonlinear spring", "dead channel", "changing load"}
+    wanted |= {"dead channel", "changing load"}
     wanted |= {"record too short", "bandwidth"}
     assert not wanted & set(KINDS)
     assert kinds <= wanted | set(KINDS), kinds - wanted - set(KINDS)

@@ -321,11 +321,11 @@ def bent_springs() -> Iterator[Case]:
         return lambda x, v: (STIFFNESS * x, DAMPING * v * (1 + share * abs(STIFFNESS * x) / 1000.0))
 
     springs = {
-        "hardening 1 % at 2 kN": (hardening(0.01), ("nonlinear spring", "natural frequency")),
-        "hardening 5 % at 2 kN": (hardening(0.05), ("nonlinear spring", "natural frequency")),
-        "friction 0.5 N": (friction(0.5), ("damping ratio", "nonlinear spring")),
-        "friction 5 N": (friction(5.0), ("damping ratio", "nonlinear spring")),
-        "damping +50 % at 1 kN": (more_damped(0.5), ("damping ratio", "nonlinear spring")),
+        "hardening 1 % at 2 kN": (hardening(0.01), ("not linear", "natural frequency")),
+        "hardening 5 % at 2 kN": (hardening(0.05), ("not linear", "natural frequency")),
+        "friction 0.5 N": (friction(0.5), ("damping ratio", "not linear")),
+        "friction 5 N": (friction(5.0), ("damping ratio", "not linear")),
+        "damping +50 % at 1 kN": (more_damped(0.5), ("damping ratio", "not linear")),
     }
     loads = {"0-60 Hz": MIDDLE, "0-100 Hz": BROAD, "step": STEP}
     for name, (spring, kinds) in springs.items():

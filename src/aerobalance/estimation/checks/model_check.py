@@ -19,6 +19,7 @@ from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.local_modes import Averaged, missing_mode, own_resonance
 from aerobalance.estimation.checks.mode_shapes import shape_doubts
 from aerobalance.estimation.checks.model_error import as_noise, error_under
+from aerobalance.estimation.checks.not_linear import not_linear
 from aerobalance.estimation.checks.peaks import Peak, peak_doubts
 from aerobalance.estimation.checks.resonance import Spoken, change_by_steps, spoken_for
 from aerobalance.estimation.checks.steady_tones import without_tones
@@ -241,6 +242,8 @@ def checked(force: Force) -> Force:
             parts[name] = _raised(parts[name], found, own, interval=interval)
             if misfit.possible is not None:
                 parts[name] = _left_open(parts[name], misfit.possible, own, interval=interval)
+            if not found and not kinds & {"colored noise", "unexplained"}:
+                parts[name] = _bent(parts[name], one)
     return replace(force, parts={name: _without_vague(part) for name, part in parts.items()})
 
 
@@ -264,6 +267,22 @@ def _left_open(force: ComponentForce, possible: Spoken, own: ModalModel, *, inte
     weighted = np.sqrt(possible.probability) * error
     noise = as_noise(weighted, name=LEFT_OPEN, period=1 / own.natural_frequency, interval=interval)
     return with_errors(force, noise)
+
+
+def _bent(force: ComponentForce, record: SingleRecord) -> ComponentForce:
+    """A force whose uncertainty counts friction and damping that is not linear, where the record shows it.
+
+    A step, or a shock, has power at all frequencies, in phase with what it does within the band of the load.
+    """
+    seen = None if force.steps else _unbroken(record, force.steps, force.hum)
+    shown = None if seen is None else not_linear(seen[0], record.dynamics)
+    if shown is None:
+        return force
+    error = shown.force(force.values, record.dynamics, interval=record.interval)
+    unit, period = si_unit(record.dynamics.component), 1 / record.dynamics.natural_frequency
+    doubt = shown.doubt(record.dynamics.component, effect=float(np.sqrt(np.mean(error**2))), unit=unit)
+    noise = as_noise(error, name=f"{DOUBTED}{doubt.kind}", period=period, interval=record.interval)
+    return with_doubt(force, doubt, noise)
 
 
 def _named_only(force: ComponentForce) -> ComponentForce:

@@ -1,0 +1,87 @@
+"""Friction and damping that is not linear show above the band of the load; linear balances show neither."""
+
+import numpy as np
+import pytest
+
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.checks.not_linear import not_linear
+from aerobalance.estimation.prior import Observation
+from faults.cases import all_cases
+from faults.trials import of_one, scores, worked_out
+
+MASS, FREQUENCY, RATIO, RATE, NOISE, COUNT = 177.87, 66.4, 0.006, 1600.0, 2.0, 4000
+OMEGA = 2 * np.pi * FREQUENCY
+T128 = Dynamics("AF", MASS, MASS * OMEGA**2, 2 * RATIO * MASS * OMEGA)
+
+
+def banded(rng, *, rms, edge, count=COUNT):
+    """A Gaussian load, flat up to an edge."""
+    frequency = np.fft.rfftfreq(count, 1 / RATE)
+    spectrum = np.where(frequency < edge, np.fft.rfft(rng.standard_normal(count)), 0.0)
+    load = np.fft.irfft(spectrum, count)
+    return rms * load / load.std()
+
+
+def read(load, rng):
+    """What a linear balance reads of a load, cut out of a longer record."""
+    response = T128.response(np.fft.rfftfreq(load.size, 1 / RATE))
+    felt = np.fft.irfft(response * np.fft.rfft(load), load.size)
+    return Observation(felt[load.size // 4 :][:COUNT] + NOISE * rng.standard_normal(COUNT), 1 / RATE, T128)
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("friction 5 N, 0-100 Hz", "friction"),
+        ("damping +50 % at 1 kN, 0-100 Hz", "damping that grows with the deflection"),
+    ],
+)
+def test_what_is_not_linear_is_named_and_counted(name, kind):
+    (case,) = (one for one in all_cases() if one.name == name)
+    record, dynamics = case.record(0), case.known(0)
+    force, _ = worked_out(record, dynamics, case.settings)
+    (doubt,) = (one for one in force.doubts if one.kind == "not linear")
+    assert kind in doubt.text
+    assert force.verdict == "doubtful"
+    found = scores(*of_one(force), record.force)
+    # without it the uncertainty is a sixth or less of the error; four deviations tell the size to a quarter
+    assert 0.5 < doubt.effect / found["error"] < 1.5
+    assert found["error"] < 1.5 * found["u"]
+    assert found["cover"] > 0.85
+
+
+def test_friction_has_its_size():
+    (case,) = (one for one in all_cases() if one.name == "friction 5 N, 0-100 Hz")
+    load = case.record(0).columns["AF"]
+    found = not_linear(Observation(load, 1 / RATE, case.known(0)), case.known(0))
+    assert found is not None
+    assert abs(found.size - 5.0) < 4 * found.u
+
+
+def test_a_linear_balance_shows_none(rng):
+    # one in ten thousand by chance, so two of these thirty in one run of two hundred thousand
+    edges = rng.uniform(20.0, 200.0, 30)
+    loads = [banded(rng, rms=10 ** rng.uniform(0.5, 3.0), edge=edge, count=2 * COUNT) for edge in edges]
+    assert sum(not_linear(read(load, rng), T128) is not None for load in loads) <= 1
+
+
+@pytest.mark.parametrize("edge", [40.0, 90.0])
+def test_noise_of_a_color_is_none(edge, rng):
+    load = banded(rng, rms=200.0, edge=edge, count=2 * COUNT)
+    reading = read(load, rng)
+    hump = banded(rng, rms=3.0, edge=350.0) - banded(rng, rms=1.0, edge=250.0)
+    reading = Observation(reading.values + hump, 1 / RATE, T128)
+    assert not_linear(reading, T128) is None
+
+
+def test_harmonics_of_a_rotor_are_none(rng):
+    base = banded(rng, rms=20.0, edge=30.0, count=2 * COUNT)
+    time = np.arange(2 * COUNT) / RATE
+    phase = rng.uniform(0, 2 * np.pi, 6)
+    rotor = sum(100.0 / k**2 * np.cos(2 * np.pi * 23.7 * k * time + phase[k - 1]) for k in range(1, 7))
+    assert not_linear(read(base + rotor, rng), T128) is None
+
+
+def test_too_short_a_record_tells_nothing(rng):
+    values = read(banded(rng, rms=200.0, edge=90.0, count=2 * COUNT), rng).values[:200]
+    assert not_linear(Observation(values, 1 / RATE, T128), T128) is None
