@@ -18,6 +18,7 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.doubts import Verdict
 from aerobalance.recording.errors import DataQualityWarning
+from aerobalance.simulation.six_balance import random_balance
 from faults.scene import band, shaped, soft, together
 from faults.six import HALF_RANGE, SIX, SixScene, balance, drawn, moved, recording_of
 from seeds import trials
@@ -182,3 +183,13 @@ def test_a_dead_channel_of_six_is_named_for_all_forces(rng) -> None:
     dead = [doubt for doubt in force.doubts if doubt.kind == "stuck channel"]
     assert {doubt.component for doubt in dead} == set(COMPONENTS), "each force needs the readings of all"
     assert all(doubt.text.startswith("RM reads 3") for doubt in dead)
+
+
+def test_modes_that_no_longer_ring_are_none_that_have_moved() -> None:
+    """Neither a resonance as wide as its frequency nor one without damping is a mode of a balance."""
+    dynamics = random_balance(np.random.default_rng(3)).dynamics
+    own = Moved.none(dynamics)
+    assert own.ringing.all()
+    assert own.by(slice(None), np.log([1.1, 1.9])).ringing.all()
+    for factor in (1e-3, 60.0):
+        assert list(own.by(1, np.array([0.0, np.log(factor)])).ringing) == [True, False, True, True, True, True]

@@ -48,6 +48,8 @@ class ModeShapeSettings:
     broad
         Damping ratio from which on a mode that was not known with half as much no longer rings: what is likelier
         with it is a spectrum of the load and no motion of the balance.
+    narrow
+        Factor of the damping ratio below which a mode is a tone of the load.
     told, told_damping
         Changes of the logarithms of a natural frequency and a damping ratio from which they are told.
     """
@@ -59,6 +61,7 @@ class ModeShapeSettings:
     tries: int = 40
     tones_above: float = 0.5
     broad: float = 0.1
+    narrow: float = 0.1
     told: float = 0.001
     told_damping: float = 0.3
 
@@ -95,9 +98,10 @@ class Moved:
 
     @property
     def ringing(self) -> NDArray[np.bool_]:
-        """Whether each mode still rings, or was found without a resonance, shape (modes,)."""
+        """Whether each mode rings as a balance may, and was not found without resonance or damping, shape (modes,)."""
         before = np.array([mode.damping_ratio for mode in self.dynamics.modes])
-        return np.asarray(before * np.exp(self.changes[:, 1]) < np.maximum(SETTINGS.broad, 2 * before))
+        now = before * np.exp(self.changes[:, 1])
+        return np.asarray((now > SETTINGS.narrow * before) & (now < np.maximum(SETTINGS.broad, 2 * before)))
 
     @property
     def moved(self) -> CoupledDynamics:

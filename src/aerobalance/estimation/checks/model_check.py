@@ -387,10 +387,15 @@ def _spoken(spoken: Spoken, dynamics: Dynamics) -> Misfit:
 
 def _looks_alike(mode: Mode, learned: SpectralPrior, interval: float) -> bool:
     """Whether a force above the natural frequency or the color of the noise there has edges that look like a mode."""
-    if learned.rising or learned.color is None:
-        return learned.rising
-    beside = 1 + SETTINGS.beside * np.array([-1.0, 0.0, 1.0])
-    below, there, above = learned.color.density(mode.natural_frequency * beside, width=0.0)
+    near = mode.natural_frequency * (1 + SETTINGS.beside * np.array([-1.0, 0.0, 1.0]))
+    if learned.rising:
+        below, there, above = learned.spectrum.density(near)
+        low, high = sorted((below, above))
+        # a force that stands for a mode has a peak for its resonance, and a hole beside it for its antiresonance
+        return not (there > SETTINGS.peaked * high and high > SETTINGS.peaked * low)
+    if learned.color is None:
+        return False
+    below, there, above = learned.color.density(near, width=0.0)
     # an edge has its level on one side of it: what stands out of both is the mode, taken for a color
     peaked = there > SETTINGS.peaked * max(below, above)
     return bool(there > learned.noise**2 * interval and not peaked)
