@@ -248,9 +248,11 @@ def _search(
 
 def _covariance(J: Array, left: Array, *, time: Array, frequency: float, sizes: Array) -> tuple[Array, float]:
     """Covariance of the nonlinear and the linear parameters, and the colour of the residuals."""
-    size = np.sqrt(np.sum(J**2, axis=0))
+    largest = np.max(np.abs(J), axis=0)  # of a law that does not fit its square may be beyond all numbers
+    largest[largest == 0] = 1.0
+    size = largest * np.sqrt(np.sum((J / largest) ** 2, axis=0))
     size[size == 0] = 1.0
-    inverse = np.linalg.pinv((J / size).T @ (J / size), hermitian=True) / np.outer(size, size)
+    inverse = np.linalg.pinv((J / size).T @ (J / size), hermitian=True) / size / size[:, None]
     variance = float(left @ left) / max(left.size - J.shape[1], 1)
     rounding = variance < (1e-9 * float(np.abs(sizes[2:]).max())) ** 2
     colour = 1.0 if rounding else _colour(left, frequency, time)
