@@ -40,7 +40,7 @@ class LoadSettings:
     points_apart: float = 20.0
 
 
-SIDE_BY_SIDE: Final = 64
+ROWS_AT_ONCE: Final = 64
 """Rows of a table whose values are compared in one go."""
 
 SETTINGS: Final = LoadSettings()
@@ -74,12 +74,12 @@ def _along_rows(ufunc: np.ufunc, table: Array) -> Array:
     rows of six.
     """
     rows, columns = table.shape
-    whole = rows // SIDE_BY_SIDE
+    whole = rows // ROWS_AT_ONCE
     if whole < 2:
         return np.asarray(ufunc.reduce(table))
-    blocks = ufunc.reduce(np.ascontiguousarray(table[: whole * SIDE_BY_SIDE]).reshape(whole, -1))
-    rest = table[whole * SIDE_BY_SIDE :]
-    return np.asarray(ufunc.reduce(np.concatenate([blocks.reshape(SIDE_BY_SIDE, columns), rest])))
+    blocks = ufunc.reduce(np.ascontiguousarray(table[: whole * ROWS_AT_ONCE]).reshape(whole, -1))
+    rest = table[whole * ROWS_AT_ONCE :]
+    return np.asarray(ufunc.reduce(np.concatenate([blocks.reshape(ROWS_AT_ONCE, columns), rest])))
 
 
 def _excess(balance: BalanceMatrix, native: Array) -> Array:

@@ -1,0 +1,19 @@
+"""Range of loads along long tables."""
+
+import numpy as np
+import pytest
+
+from aerobalance.balance.load_checks import ROWS_AT_ONCE, _along_rows
+
+
+@pytest.mark.parametrize("rows", [1, 2 * ROWS_AT_ONCE - 1, 2 * ROWS_AT_ONCE, 5 * ROWS_AT_ONCE + 3])
+def test_least_and_largest_of_all_rows_are_found_in_blocks(rows, rng):
+    """Every row may hold them, those beyond the last whole block too; what is missing is passed over."""
+    table = rng.normal(size=(rows, 6))
+    table[rng.random(table.shape) < 0.2] = np.nan
+    for ufunc, sign in ((np.fmin, -1.0), (np.fmax, 1.0)):
+        for place in {0, rows // 2, rows - 1}:
+            marked = table.copy()
+            marked[place] = sign * 100.0
+            assert np.array_equal(_along_rows(ufunc, marked), np.full(6, sign * 100.0))
+        assert np.array_equal(_along_rows(ufunc, table), ufunc.reduce(table), equal_nan=True)
