@@ -87,8 +87,8 @@ class NotLinear:
     def doubt(self, component: str, *, effect: float, unit: str) -> Doubt:
         """Return it in words."""
         text = (
-            f"{component} shows {self.kind}, a force of {self.size:.3g} +- {self.u:.2g} {unit} at the usual motion: "
-            "the dynamics are linear and lack it, so it is missing in the force"
+            f"{component} shows {self.kind}, a force of {self.size:.3g} {unit} (u = {self.u:.2g} {unit}) where the "
+            "motion has its rms: the dynamics are linear and lack it, so it is missing in the force"
         )
         advice = "look for what touches or rubs: cables, seals, a fouled gap; identify with releases of several sizes"
         return Doubt("not linear", component, text, advice, effect, unit)
