@@ -242,7 +242,13 @@ def test_a_record_on_a_moving_ground_knows_what_that_puts_on_the_loads(rng: np.r
     inner = slice(200, -200)
     read = record.reading(0, on_clock_of=0, filled=record.loads)
     left: Array = (read - own.reading().values)[inner]
-    assert float(np.std(left)) < 0.02 * float(np.std(own.from_ground[inner]))
+    # What moves before the record begins is not known: either may leave an oscillation that is free, as the estimator
+    # takes it. The rest is small beside the noise of the reading, 1 N, where the ground puts hundreds on it.
+    decay = PARTS[1].free_decay(np.arange(left.size) * record.interval)
+    free = np.column_stack([decay, np.gradient(decay)])
+    left = left - free @ np.linalg.lstsq(free, left, rcond=None)[0]
+    assert float(np.std(own.from_ground[inner])) > 100.0
+    assert float(np.std(left)) < 0.1
 
 
 def test_a_plan_is_the_same_for_both() -> None:
