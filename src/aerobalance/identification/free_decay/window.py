@@ -17,7 +17,14 @@ from aerobalance.identification.free_decay.amplitude_dependence import (
     bent_fit,
 )
 from aerobalance.identification.free_decay.driven import Band, driven
-from aerobalance.identification.free_decay.law import AmplitudeLaw, by_a_law, close_lines, levelled, of_two_modes
+from aerobalance.identification.free_decay.law import (
+    AmplitudeLaw,
+    by_law,
+    close_lines,
+    levelled,
+    likeliest_law,
+    of_two_modes,
+)
 from aerobalance.identification.free_decay.residual_lines import residual_line
 from aerobalance.identification.free_decay.ring_fit import EVIDENCE, fit_ring, freed
 from aerobalance.identification.free_decay.waveform import HEAVIEST, Ring, columns_of, projected
@@ -103,7 +110,7 @@ def account(ring: Ring, time: Array, values: Array, *, onset: float) -> Account:
     dependence, found = amplitude_dependence(found, bent=bent if found is ring else None)
     law = None
     if found.bent:
-        found = by_a_law(found)
+        found = by_law(found, likeliest_law(found))
     if found.law is not None:
         found, law, dependence = levelled(found)
     if quick is not None and not decays(found):  # a law or a second mode that leads nowhere
@@ -125,7 +132,7 @@ def _richer(ring: Ring) -> tuple[Ring, bool, Ring]:
     gain = band.minus_log_likelihood(ring.residuals) - band.minus_log_likelihood(bent.residuals)
     if bent.squares > (1 - PLAIN) * ring.squares and gain < EVIDENCE / 2:
         return ring, False, bent
-    law, two = by_a_law(ring), of_two_modes(ring)
+    law, two = by_law(ring, likeliest_law(bent)), of_two_modes(ring)
     if two is not None and two.squares < law.squares - EVIDENCE * two.variance:
         return two, True, bent
     return law, False, bent
