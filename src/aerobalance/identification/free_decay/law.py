@@ -126,21 +126,22 @@ def levelled(ring: Ring) -> tuple[Ring, AmplitudeLaw, AmplitudeDependence]:
     from the first to the least, or to a tenth, is taken as evenly spread about it and is in their uncertainty; and so
     is what other laws come to, as far as the readings leave open which it is.
     """
-    if ring.law is None:
+    chosen = ring.law
+    if chosen is None:
         raise ValueError("the ring has no law")
-    ring = by_law(without_wander(ring), ring.law)
+    ring = by_law(without_wander(ring), chosen)
     since = ring.time - ring.start - ring.duration
     since = since[since > 0]
     places = _places(ring)
     at = ring.vector[places]
-    end = float(envelope_of(since[-1:], at[0], at[2], ring.law.damping)[0])
+    end = float(envelope_of(since[-1:], at[0], at[2], chosen.damping)[0])
     noise = np.sqrt(ring.variance) / (ring.amplitude or np.inf)
     sizes = np.array([1.0, min(max(end, LEAST, float(noise)), 1.0)])
 
     steps = np.diag(1e-5 * np.array([abs(at[0]), abs(at[1]), 1.0, 1e-2]))
-    up, down = ([_comes_to(at + sign * step, ring.law, since, sizes) for step in steps] for sign in (1, -1))
+    up, down = ([_comes_to(at + sign * step, chosen, since, sizes) for step in steps] for sign in (1, -1))
     slopes = np.array([(a - b) / (2 * step.sum()) for a, b, step in zip(up, down, steps, strict=True)]).T
-    found = _comes_to(at, ring.law, since, sizes)
+    found = _comes_to(at, chosen, since, sizes)
     decay, w, first, last, fast, slow = found
     every = slopes @ ring.covariance[np.ix_(places, places)] @ slopes.T
     open_laws = _of_other_laws(ring, found, since, sizes)
@@ -156,7 +157,7 @@ def levelled(ring: Ring) -> tuple[Ring, AmplitudeLaw, AmplitudeDependence]:
     covariance[1, 1] += (fast - slow) ** 2 / 12
     rates = np.array([fast, slow])
     law = AmplitudeLaw(
-        powers=ring.law,
+        powers=chosen,
         amplitude=sizes * ring.amplitude,
         damping_ratio=np.array([first, last]) / rates,
         u_damping_ratio=u[2:4] / rates,
