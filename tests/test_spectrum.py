@@ -90,14 +90,20 @@ def test_leakage_of_the_window():
 @pytest.mark.parametrize("edge", [30.0, 120.0, 300.0])
 def test_sharp_band_is_found(edge, rng):
     level = 500.0**2 / (2 * edge)
-    found = fit(felt(rng, lambda f: np.where(f <= edge, level, 0.0)))
-    assert found.spectrum.roll_off is None
-    assert found.spectrum.edges[0] == pytest.approx(edge, abs=0.4)  # two ordinates
-    ordinates = edge / 0.2 / HANN_BANDWIDTH
-    assert found.spectrum.levels[0] == pytest.approx(level, rel=5 / np.sqrt(ordinates))
-    assert not found.spectrum.levels[1:].any()
-    # the noise shows on 500 to 770 Hz of 0.2 Hz ordinates, worth half: 1.8 % of its variance; 5 of these
-    assert found.noise_density == pytest.approx(4 / RATE, rel=0.14)
+    off, more = [], []
+    for _ in range(5):
+        found = fit(felt(rng, lambda f: np.where(f <= edge, level, 0.0)))
+        assert found.spectrum.roll_off is None
+        off.append(abs(found.spectrum.edges[0] - edge))
+        more.append(found.spectrum.levels[1:].any())
+        ordinates = edge / 0.2 / HANN_BANDWIDTH
+        assert found.spectrum.levels[0] == pytest.approx(level, rel=5 / np.sqrt(ordinates))
+        # the noise shows on 500 to 770 Hz of 0.2 Hz ordinates, worth half: 1.8 % of its variance; 5 of these
+        assert found.noise_density == pytest.approx(4 / RATE, rel=0.14)
+    # Two ordinates. In one record of a hundred several ordinates before the edge are by chance so low that they make a
+    # segment of their own: that three of five do has a chance of 1e-5.
+    assert np.median(off) <= 0.4
+    assert not np.median(more)
 
 
 @pytest.mark.parametrize(("corner", "order"), [(10.0, 1), (60.0, 2), (60.0, 4)])
