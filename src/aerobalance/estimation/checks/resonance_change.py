@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.mode_shapes import Moved
 from aerobalance.estimation.checks.resonance import SETTINGS as EVIDENCE
@@ -107,6 +108,10 @@ def _single(record: ComponentRecord, part: ComponentForce) -> ResonanceChange:
         return still
     values = values[: EVIDENCE.samples]
     white = None if learned.color is None else learned.noise**2 * interval
+
+    def moved(change: Array) -> ModalModel:
+        return dynamics.retuned(frequency=float(np.exp(change[0])), damping=float(np.exp(change[1])))
+
     evidence = Evidence(
         values - values.mean(),
         interval,
@@ -114,10 +119,11 @@ def _single(record: ComponentRecord, part: ComponentForce) -> ResonanceChange:
         white,
         learned.color,
         learned.rising,
+        tuple(moved(np.array([place * dynamics.damping_ratio, 0.0])) for place in TRIED),
     )
 
     def likelihood(change: Array) -> float:
-        return evidence.of(dynamics.retuned(frequency=float(np.exp(change[0])), damping=float(np.exp(change[1]))))
+        return evidence.of(moved(change))
 
     return _told(still, dynamics.damping_ratio, likelihood)
 

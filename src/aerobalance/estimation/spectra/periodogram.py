@@ -6,7 +6,7 @@ S_F the force, S_u the white noise that comes with known inputs, and R the noise
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Final
@@ -176,6 +176,7 @@ class Periodogram:
         input_density: float = 0.0,
         color: Callable[[Array, float], Array] | None = None,
         density: Array | None = None,
+        edges: NDArray[np.int64] | None = None,
     ) -> Periodogram:
         """Take a Hann periodogram and average it as far as the balance's response allows.
 
@@ -193,9 +194,13 @@ class Periodogram:
             Mean density of the colored noise about frequencies [Hz], over a width [Hz], [N^2/Hz].
         density
             What `density_of` gives of these readings, where it is known.
+        edges
+            First ordinate of each average, shape (m,), by `averages_for`, where other dynamics are compared.
         """
         length = min(values.size, LONGEST)
         grid = _Ordinates.of(dynamics, length, interval)
+        if edges is not None:
+            grid = grid.averaged_over(edges)
         density = density_of(values, interval) if density is None else density
         return cls(
             frequency=grid.mean(grid.frequency),
@@ -259,6 +264,10 @@ class _Ordinates:
 
     Attributes
     ----------
+    dynamics
+        The balance.
+    interval
+        Time between samples [s].
     frequency, gain
         Frequencies of the ordinates [Hz], and square of the response as the window sees it [1], shape (n,) each.
     edges, count
@@ -267,6 +276,8 @@ class _Ordinates:
         Square of the response at the sampling rate less the frequency of each average [1], shape (m,).
     """
 
+    dynamics: ModalModel
+    interval: float
     frequency: Array
     gain: Array
     edges: NDArray[np.int64]
@@ -279,12 +290,20 @@ class _Ordinates:
         """Lay it out for periodograms of so many samples."""
         frequency = np.arange(length // 2 + 1) / (length * interval)
         gain = _smeared_gain(dynamics, frequency)[INSIDE]
-        frequency = frequency[INSIDE]
-        edges = averages(np.log(gain), FEWEST_ORDINATES, FINENESS, float(np.log(STEEPEST)))
+        return _Ordinates._laid_out(dynamics, interval, frequency[INSIDE], gain, _averages(np.log(gain)))
+
+    @staticmethod
+    def _laid_out(
+        dynamics: ModalModel, interval: float, frequency: Array, gain: Array, edges: NDArray[np.int64]
+    ) -> _Ordinates:
         count = np.diff(np.append(edges, gain.size))
         middle = np.add.reduceat(frequency, edges) / count
         folded = np.abs(dynamics.response(1 / interval - middle)) ** 2
-        return _Ordinates(frequency, gain, edges, count, folded)
+        return _Ordinates(dynamics, interval, frequency, gain, edges, count, folded)
+
+    def averaged_over(self, edges: NDArray[np.int64]) -> _Ordinates:
+        """The same with other averages, by the first ordinate of each, shape (m,)."""
+        return self._laid_out(self.dynamics, self.interval, self.frequency, self.gain, edges)
 
     @property
     def step(self) -> float:
@@ -294,6 +313,31 @@ class _Ordinates:
     def mean(self, values: Array) -> Array:
         """Mean of ordinates (n,) over each average, shape (m,)."""
         return np.asarray(np.add.reduceat(values, self.edges) / self.count)
+
+
+def averages_for(models: Sequence[ModalModel], samples: int, interval: float) -> NDArray[np.int64]:
+    """First ordinate of each average of a periodogram within which no response of several changes, shape (m,).
+
+    Likelihoods of several dynamics may be compared over the same averages alone: where the spectrum of the force has
+    an edge, what an average has of either side makes them differ by ten and more.
+
+    Parameters
+    ----------
+    models
+        The dynamics that are compared.
+    samples
+        Samples of the record.
+    interval
+        Time between samples [s].
+    """
+    length = min(samples, LONGEST)
+    changes = [np.abs(np.diff(np.log(_Ordinates.of(model, length, interval).gain))) for model in models]
+    return _averages(np.concatenate([[0.0], np.cumsum(np.max(changes, axis=0))]))
+
+
+def _averages(level: Array) -> NDArray[np.int64]:
+    """First ordinate of each average, by the logarithm of the response's squares at the ordinates, shape (n,)."""
+    return averages(level, FEWEST_ORDINATES, FINENESS, float(np.log(STEEPEST)))
 
 
 def density_of(values: Array, interval: float) -> Array:
