@@ -17,7 +17,7 @@ from aerobalance.app.cli.program import app
 from aerobalance.app.options import OPTIONS, as_options
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.checks.model_check import Misfit, misfit_of
+from aerobalance.estimation.checks.misfit import Misfit, misfit_of
 from aerobalance.estimation.force import force_record
 from aerobalance.identification.free_decay.decay_doubts import _way_to_take_it_up
 from aerobalance.identification.free_decay.event import first_look

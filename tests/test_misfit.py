@@ -10,9 +10,9 @@ import pytest
 
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.checks import model_check, resonance
+from aerobalance.estimation.checks import misfit, model_check, resonance
 from aerobalance.estimation.checks.local_modes import SETTINGS, Averaged, missing_mode, own_resonance, smeared
-from aerobalance.estimation.checks.model_check import Misfit, _if_changed, misfit_of
+from aerobalance.estimation.checks.misfit import Misfit, _if_changed, misfit_of
 from aerobalance.estimation.checks.model_error import error_under
 from aerobalance.estimation.checks.near_resonance import near_resonance
 from aerobalance.estimation.force import estimate_force
@@ -254,7 +254,7 @@ def test_what_a_record_leaves_open_counts_by_its_probability(probability, monkey
     before = estimate_force(recording, BARE).only
     other = BARE.retuned(frequency=1.002, damping=1.0)
     spoken = resonance.Spoken("natural frequency", other, 10.0, probability=probability)
-    monkeypatch.setattr(model_check, "spoken_for", lambda *_, **__: spoken)
+    monkeypatch.setattr(misfit, "spoken_for", lambda *_, **__: spoken)
     after = estimate_force(recording, BARE)
     assert after.doubts == ()
     error = error_under(before.values, own=BARE, other=other, interval=1 / RATE)

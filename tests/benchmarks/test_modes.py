@@ -9,7 +9,7 @@ import pytest
 
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.checks.model_check import misfit_of
+from aerobalance.estimation.checks.misfit import misfit_of
 from aerobalance.estimation.force import estimate_force, force_record
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.recording.channel import Array, Channel

@@ -15,12 +15,13 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import TYPE_CHECKING, Any, Final
 
+from aerobalance.recording.blas_threads import settings_of_process
+
 if TYPE_CHECKING:
     from collections.abc import Callable
     from multiprocessing.context import ForkServerContext, SpawnContext
 
 _LOADED: Final = ["aerobalance.acquisition.simulated", "aerobalance.acquisition.recorder"]
-_THREADS: Final = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
 _LOCK: Final = threading.Lock()
 
 
@@ -54,8 +55,8 @@ def start_worker(target: Callable[..., None], *arguments: object) -> BaseProcess
         _CONTEXT.set_forkserver_preload(_LOADED)
     process = _CONTEXT.Process(target=target, args=arguments, daemon=True)
     with _LOCK:  # a process is given the environment of the moment
-        made = [name for name in _THREADS if name not in os.environ]
-        os.environ.update(dict.fromkeys(made, "1"))
+        made = settings_of_process(os.environ)
+        os.environ.update(made)
         try:
             process.start()
         finally:

@@ -14,6 +14,7 @@ from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.weighing import Weighing
 from aerobalance.balance.weight_on_zero import WeightOnZero, attitudes_of, settled_zero, weight_on_zero, zero_or_mean
 from aerobalance.balance.zeros import CarriedWeight, Zero, gauge_table
+from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError, argument, warn_quality
@@ -22,6 +23,7 @@ from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
 
 
+@one_blas_thread()
 def reduce_outputs(
     recording: Recording,
     balance: BalanceMatrix | Calibration,

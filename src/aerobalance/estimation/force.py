@@ -37,6 +37,7 @@ from aerobalance.estimation.record_clock import RecordClock
 from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.estimation.working_clock import DecimatedRecord, MadeReady, RecordAsItIs, slower_clock
+from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, is_gauge
 from aerobalance.recording.doubts import Doubt
@@ -51,6 +52,7 @@ SAME_WEIGHT: Final = 1e-3
 """Difference of two weights, over the largest, that attitudes which are averaged may make."""
 
 
+@one_blas_thread()
 def estimate_force(
     run: Recording | Loads,
     dynamics: AnyDynamics,

@@ -20,6 +20,7 @@ from aerobalance.identification.impact.tap_result import ImpactFit, ImpactIdenti
 from aerobalance.identification.impact.taps import identify_taps
 from aerobalance.identification.step_relaxation.identify import identify_releases
 from aerobalance.identification.step_relaxation.release_result import CoupledIdentification
+from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
@@ -32,6 +33,7 @@ Mass = float | tuple[float, float] | Weighing
 """Mass [kg; kg*m for a moment]: exact, with its standard uncertainty, or as weighed."""
 
 
+@one_blas_thread()
 def identify(
     recordings: Recording | Loads | Sequence[Recording | Loads],
     *,

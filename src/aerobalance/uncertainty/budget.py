@@ -22,6 +22,7 @@ import numpy as np
 from aerobalance.estimation.error_sources import undivided
 from aerobalance.estimation.result import ComponentForce, ForceSummary
 from aerobalance.estimation.sums import ForceSums, Key, SpectrumSums, segment_length
+from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.channel import Array
 from aerobalance.recording.doubts import DOUBTED
 from aerobalance.recording.errors import argument
@@ -312,6 +313,7 @@ class BudgetLine:
         return f"{self.name} ({self.source}): {self.rms:.2g} rms{part}"
 
 
+@one_blas_thread()
 def budget(force: Mapping[str, ComponentForce]) -> dict[str, tuple[BudgetLine, ...]]:
     """Uncertainty budget of a force [N, N*m] by component, the largest contribution first, what is assumed last.
 

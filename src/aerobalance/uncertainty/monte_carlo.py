@@ -33,6 +33,7 @@ from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.record import BalanceRecord, ComponentRecord
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.steps import Step, shape_of
+from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import kept_warnings, warn_quality
 from aerobalance.recording.progress import PROGRESS
@@ -153,6 +154,7 @@ class MonteCarlo:
         return "\n  ".join([f"{self.draws} draws, seed {self.seed}", *rows, *self.doubts])
 
 
+@one_blas_thread()
 def monte_carlo(force: Force, *, draws: int = 200, seed: int = 1) -> dict[str, MonteCarlo]:
     """Check of the uncertainty of a force [N], by component, by drawing everything that it depends on.
 

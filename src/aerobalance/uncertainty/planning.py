@@ -13,6 +13,7 @@ import numpy as np
 
 from aerobalance.dynamics.independent import AnyDynamics, dynamics_of
 from aerobalance.estimation.live.live_force import LAG_PERIODS, SLOWEST
+from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.components import si_unit
 from aerobalance.uncertainty.wiener_bound import (
     ACCELERATION,
@@ -122,6 +123,7 @@ class Plan:
         return self.components[component]
 
 
+@one_blas_thread()
 def plan(
     dynamics: AnyDynamics,
     *,

@@ -14,6 +14,7 @@ from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import AnyDynamics, dynamics_of
 from aerobalance.dynamics.modal import ModalModel
+from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError, argument
 from aerobalance.recording.progress import PROGRESS
@@ -70,6 +71,7 @@ class Comparison(Mapping[str, Sequence[BaselineEstimate]]):
         return len(self.estimates)
 
 
+@one_blas_thread()
 def compare(
     run: Recording | Loads,
     dynamics: AnyDynamics,

@@ -20,15 +20,14 @@ from aerobalance.app.campaign.places import MissingLibraryError
 from aerobalance.app.campaign.results import Results
 from aerobalance.app.campaign.rows import Row, set_aside
 from aerobalance.app.campaign.work import Report, RunWork, work_on
+from aerobalance.recording.blas_threads import VARIABLES
 from aerobalance.recording.errors import FitError
 
 if TYPE_CHECKING:
     from distributed import Client
 
 SETTINGS_OF_PROCESSES: Final = {
-    "OMP_NUM_THREADS": "1",
-    "OPENBLAS_NUM_THREADS": "1",
-    "MKL_NUM_THREADS": "1",
+    **dict.fromkeys(VARIABLES, "1"),
     "MALLOC_MMAP_THRESHOLD_": "33554432",
     "MALLOC_TRIM_THRESHOLD_": "268435456",
 }

@@ -25,10 +25,9 @@ def run() -> None:
     from aerobalance.app.cli import loading  # nothing may take time before Ctrl-C is answered
 
     loading.begin()
-    # The matrices here are small: threads of the linear algebra get in each other's way, by a factor of ten on two
-    # cores that are shared. Whoever sets these himself is heard.
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
+    from aerobalance.recording.blas_threads import settings_of_process
+
+    os.environ.update(settings_of_process(os.environ))  # before the libraries are loaded
     code = main()
     interrupt.leave()
     loading.end()

@@ -28,6 +28,7 @@ from aerobalance.estimation.force_collector import SummaryOfParts
 from aerobalance.estimation.force_parts import ForcePart
 from aerobalance.estimation.result import ForceSummary
 from aerobalance.io.safe_write import OUTPUTS
+from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.parts import parts_of
 
@@ -98,6 +99,7 @@ def account(found: Campaign, collected: Sequence[str]) -> Result:
     return {**result, "summary": summary(result)}
 
 
+@one_blas_thread()
 def run_campaign(
     test: str | Path,
     out: str | Path,

@@ -21,6 +21,7 @@ from aerobalance.balance.calibration.shrinkage import Design, shrink
 from aerobalance.balance.matrix import BalanceMatrix, Way
 from aerobalance.balance.schedule import Schedule
 from aerobalance.balance.terms import Model, Term, terms_of
+from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.channel import Array
 
 
@@ -83,6 +84,7 @@ class Calibration:
         return tuple(item.term.label(self.matrix.variables) for item in self.unidentified)
 
 
+@one_blas_thread()
 def calibrate(
     schedule: Schedule,
     *,

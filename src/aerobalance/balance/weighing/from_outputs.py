@@ -20,6 +20,7 @@ from aerobalance.balance.weight_on_zero import (
     zero_or_mean,
 )
 from aerobalance.balance.zeros import CLEARLY, CarriedWeight, GaugeZero, Zero
+from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError, argument, kept_warnings, warn_quality
 from aerobalance.recording.recording import Recording
@@ -32,6 +33,7 @@ MOST_ROUNDS: Final = 20
 """Rounds of weighing after which what is left is taken as it is: a round leaves some percent of the last change."""
 
 
+@one_blas_thread()
 def weigh(
     points: LoadPoints | Recording | Sequence[Recording],
     balance: BalanceMatrix | Calibration | None = None,

@@ -1,199 +1,36 @@
-"""What a record says against the dynamics that it is read with: a mode that they lack, a spring that has changed.
+"""What a record says against the dynamics that it is read with, and what that does to the force.
 
-First the evidence of other dynamics is compared with that of its own (`aerobalance.estimation.checks.resonance`).
-Where that leaves them standing, the ringing after the steps of the record tells the frequency and the damping finely,
-and in a long record so do the resonances of its spectrum.
+What it says of one component is found in `aerobalance.estimation.checks.misfit`, of coupled ones in
+`aerobalance.estimation.checks.mode_shapes`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
-from aerobalance.dynamics.modal import ModalModel, Mode
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.applied_force import Force
-from aerobalance.estimation.checks.local_modes import Averaged, missing_mode, own_resonance
+from aerobalance.estimation.checks.misfit import ModelDoubt, misfit_of, peaks_of, unbroken
 from aerobalance.estimation.checks.mode_shapes import shape_doubts
 from aerobalance.estimation.checks.model_error import as_noise, error_under
 from aerobalance.estimation.checks.not_linear import not_linear
-from aerobalance.estimation.checks.peaks import Peak, peak_doubts
-from aerobalance.estimation.checks.resonance import Spoken, change_by_steps, spoken_for
-from aerobalance.estimation.checks.steady_tones import without_tones
+from aerobalance.estimation.checks.peaks import peak_doubts
+from aerobalance.estimation.checks.resonance import Spoken
 from aerobalance.estimation.checks.unmeasured_rotation import turning_by_angles
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.independent_record import SingleRecord
-from aerobalance.estimation.prior import Observation, SpectralPrior
-from aerobalance.estimation.record import FEWEST_SAMPLES, ComponentRecord
 from aerobalance.estimation.result import ComponentForce, with_doubt, with_errors
-from aerobalance.estimation.spectra.line_noise import Line, reading_of_lines
-from aerobalance.estimation.steps import Step, columns_of
-from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
-from aerobalance.recording.doubts import DOUBTED, Doubt
-from aerobalance.recording.errors import argument
-from aerobalance.recording.wording import frequency_text, share_text
+from aerobalance.recording.doubts import DOUBTED
 
 DYNAMICS: Final = ("natural frequency", "damping ratio", "missing mode")
 """Kinds of doubt about the dynamics."""
 
-
 LEFT_OPEN: Final = "dynamics that the record leaves open"
 """Name of what other dynamics may do to a force that the record neither shows nor rules out."""
-
-
-@dataclass(frozen=True, slots=True)
-class ModelCheckSettings:
-    """Thresholds of the checks of dynamics against a record.
-
-    Attributes
-    ----------
-    drift
-        Standard uncertainties that frequency or damping has to be off before it is said to have changed.
-    same_mode
-        Relative difference of frequency up to which a mode in the record is one of the dynamics'.
-    longest
-        Samples from the start that are looked at: more tell nothing new.
-    changed
-        Gain in twice the log-likelihood that another frequency and damping must bring: chance has it once in 3
-        million. The curvature at the optimum alone says too much of a resonance that the load hardly excites.
-    least_damping
-        Part of a known damping ratio below which only that it is smaller is said: so narrow a line is rather hum.
-    told
-        Uncertainty of a missing mode's share over it, up to which the error that it makes can be told.
-    least_noise
-        Least noise of a reading where evidence is compared, over the noise that was learned.
-    least_signal
-        The same over the standard deviation of the readings: what swings less is not looked at.
-    beyond
-        Factor that puts a natural frequency beyond all that is recorded.
-    peaked, beside
-        Density of the color of a noise at a mode over that beside it, so far away over its frequency on either side,
-        from which on the color is the mode's: the edge of a band has its level on one side.
-    """
-
-    drift: float = 5.0
-    same_mode: float = 0.02
-    longest: int = 1 << 17
-    changed: float = 30.0
-    least_damping: float = 0.05
-    told: float = 0.5
-    least_noise: float = 1e-3
-    least_signal: float = 1e-3
-    beyond: float = 1e3
-    peaked: float = 3.0
-    beside: float = 0.1
-
-
-SETTINGS: Final = ModelCheckSettings()
-"""Thresholds that are used."""
-
-
-@dataclass(frozen=True, slots=True)
-class Misfit:
-    """What a record says against the dynamics of one component.
-
-    Attributes
-    ----------
-    component
-        Which component.
-    missing
-        A mode that the dynamics lack; None if none is seen.
-    u_frequency, u_share
-        Standard uncertainties of its frequency [Hz] and its share [1].
-    size
-        Root mean square of its ringing in the balance load [N]; None where that is not told, or would be more than the
-        load itself has.
-    frequency, damping
-        Relative change of natural frequency and damping ratio of the first mode with its standard uncertainty [1],
-        NaN where that was not worked out; None where the record does not tell or nothing has changed.
-    silent
-        True where the balance does not ring at its natural frequency at all.
-    possible
-        Dynamics that the record leaves open, and how probable they are; None where it leaves none.
-    """
-
-    component: str
-    missing: Mode | None = None
-    u_frequency: float = 0.0
-    u_share: float = 0.0
-    size: float | None = None
-    frequency: tuple[float, float] | None = None
-    damping: tuple[float, float] | None = None
-    silent: bool = False
-    possible: Spoken | None = None
-
-    @property
-    def changed(self) -> bool:
-        """Whether the first mode is clearly another."""
-        return self.silent or self.frequency is not None or self.damping is not None
-
-    def doubts(self, dynamics: Dynamics) -> list[ModelDoubt]:
-        """What it says against the dynamics, one doubt for each finding."""
-        found, unit = [], si_unit(self.component)
-        if self.missing is not None:
-            mode = self.missing
-            size = "" if self.size is None else f" with {self.size:.3g} {unit} rms"
-            cause = f"it swings{size}; a narrow band of the load itself looks the same"
-            text = (
-                f"{self.component} shows a mode at {frequency_text(mode.natural_frequency, self.u_frequency)}, "
-                f"{share_text(mode.share, self.u_share)}, that the dynamics lack: {cause}; forces near that "
-                "frequency are wrong until it is identified"
-            )
-            advice = f"identify it from a release (identify decay {argument('modes', 'auto')})"
-            told = self.u_share < SETTINGS.told * abs(mode.share)
-            other = dynamics.with_modes(*dynamics.further_modes, mode) if told else None
-            found.append(ModelDoubt(Doubt("missing mode", self.component, text, advice, unit=unit), other))
-        if self.silent:
-            text = (
-                f"{self.component} does not ring at {dynamics.natural_frequency:.5g} Hz, the natural frequency of the "
-                "dynamics: they are those of another balance or another model, or the record has another rate than "
-                "is said"
-            )
-            other = dynamics.retuned(frequency=SETTINGS.beyond, damping=1.0)
-            doubt = Doubt("natural frequency", self.component, text, "identify the dynamics again", unit=unit)
-            found.append(ModelDoubt(doubt, other))
-        changed, kind = [], "natural frequency" if self.frequency is not None else "damping ratio"
-        if self.frequency is not None:
-            own = dynamics.natural_frequency
-            changed.append(f"natural frequency, {own * (1 + self.frequency[0]):.5g} Hz and not {own:.5g} Hz")
-        if self.damping is not None:
-            own = dynamics.damping_ratio
-            now = own * max(1 + self.damping[0], SETTINGS.least_damping)
-            least = "less than " if 1 + self.damping[0] < SETTINGS.least_damping else ""
-            changed.append(f"damping ratio, {least}{now:.3g} and not {own:.3g}")
-        if changed:
-            text = (
-                f"{self.component} rings with another {' and another '.join(changed)}: stiffness, mass or damping "
-                "have changed since they were identified, or the flow adds its own; forces near that frequency are "
-                "wrong by as much"
-            )
-            advice = "identify the dynamics again"
-            other = dynamics.retuned(
-                frequency=1 + (self.frequency or (0.0,))[0],
-                damping=max(1 + (self.damping or (0.0,))[0], SETTINGS.least_damping),
-            )
-            found.append(ModelDoubt(Doubt(kind, self.component, text, advice, unit=unit), other))
-        return found
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ModelDoubt:
-    """A doubt of the dynamics, and the dynamics that would remove it.
-
-    Attributes
-    ----------
-    doubt
-        The doubt, its effect not known.
-    other
-        The dynamics that the record speaks for; None where it does not tell them.
-    """
-
-    doubt: Doubt
-    other: ModalModel | None
 
 
 def checked(force: Force) -> Force:
@@ -222,7 +59,7 @@ def checked(force: Force) -> Force:
         parts |= {name: _named_only(part) for name, part in otherwise.items()}
         # what rings otherwise leaves peaks everywhere
         decoupled = {} if otherwise else record.component_records(filled)
-        peaks = [peak for name in decoupled for peak in _peaks(decoupled[name], **known(name))]
+        peaks = [peak for name in decoupled for peak in peaks_of(decoupled[name], **known(name))]
         turning = turning_by_angles(force.recording, record.dynamics, force)
         for doubt in [*peak_doubts(peaks, record.dynamics.modes), *turning]:
             part = parts[doubt.component]
@@ -274,7 +111,7 @@ def _bent(force: ComponentForce, record: SingleRecord) -> ComponentForce:
 
     A step, or a shock, has power at all frequencies, in phase with what it does within the band of the load.
     """
-    seen = None if force.steps else _unbroken(record, force.steps, force.hum)
+    seen = None if force.steps else unbroken(record, force.steps, force.hum)
     shown = None if seen is None else not_linear(seen[0], record.dynamics)
     if shown is None:
         return force
@@ -301,191 +138,3 @@ def _without_vague(force: ComponentForce) -> ComponentForce:
         named = [doubt for doubt in named if doubt.kind != "colored noise"]
     serious = any(doubt.effect is None or doubt.effect > 0 for doubt in named)
     return replace(force, doubts=tuple(named)) if serious else force
-
-
-def misfit_of(
-    record: SingleRecord,
-    *,
-    noise: float,
-    steps: Sequence[Step] = (),
-    hum: Sequence[Line] = (),
-    learned: SpectralPrior | None = None,
-) -> Misfit:
-    """What a record says against its dynamics: other natural frequency or damping ratio, or a mode that they lack.
-
-    Parameters
-    ----------
-    record
-        The component with its record and dynamics.
-    noise
-        Standard uncertainty of a reading of the load [N].
-    steps, hum
-        Sudden changes of the force, and lines of hum, that were found in the record.
-    learned
-        Prior of the force that was learned from it; None where none was.
-    """
-    dynamics = record.dynamics
-    seen = _unbroken(record, steps, hum)
-    if seen is None:
-        return Misfit(dynamics.component)
-    reading, within = seen
-    known = record.load
-
-    def beside_steps(other: Dynamics, some: Sequence[Step]) -> Array:
-        return _without_tones(_without_steps(replace(reading, dynamics=other), some))
-
-    spoken = spoken_for(
-        _without_tones(reading.values),
-        dynamics,
-        interval=reading.interval,
-        least_noise=max(reading.least_noise, 1e-3 * noise),
-        learned=learned,
-        steps=within,
-        beside_steps=beside_steps,
-    )
-    if spoken is not None and spoken.probability == 1:
-        return _spoken(spoken, dynamics)
-    left = beside_steps(dynamics, within)
-    found = _possible(
-        _in_spectrum(left, dynamics, interval=reading.interval, noise=noise), most=float(np.nanstd(known))
-    )
-    if found.missing is not None and learned is not None and _looks_alike(found.missing, learned, reading.interval):
-        found = replace(found, missing=None, size=None)
-    if within and learned is not None:
-        change, covariance = change_by_steps(reading, within, learned)
-        both = [
-            _if_changed(float(one), float(np.hypot(np.sqrt(variance), dynamics.uncertainty(name) / own)))
-            for one, variance, name, own in zip(
-                change,
-                np.diag(covariance),
-                ("natural_frequency", "damping_ratio"),
-                (dynamics.natural_frequency, dynamics.damping_ratio or 1.0),
-                strict=True,
-            )
-        ]
-        if any(both):
-            found = replace(found, frequency=both[0], damping=both[1])
-    possible = None if spoken is None or found.changed else spoken
-    return replace(found, possible=possible)
-
-
-def _spoken(spoken: Spoken, dynamics: Dynamics) -> Misfit:
-    """A misfit of dynamics that a record speaks clearly against."""
-    other = spoken.dynamics
-    if spoken.kind == "missing mode":
-        mode = other.further_modes[-1]
-        found = Misfit(dynamics.component, missing=mode, u_frequency=spoken.u * mode.natural_frequency)
-        return replace(found, u_share=spoken.u_share * abs(mode.share))
-    if spoken.kind == "no resonance":
-        return Misfit(dynamics.component, silent=True)
-    ratio = other.damping_ratio / dynamics.damping_ratio - 1 if dynamics.damping_ratio else 0.0
-    frequency = other.natural_frequency / dynamics.natural_frequency - 1, spoken.u
-    if spoken.kind == "damping ratio":
-        return Misfit(dynamics.component, damping=(ratio, np.nan))
-    return Misfit(dynamics.component, frequency=frequency, damping=(ratio, np.nan))
-
-
-def _looks_alike(mode: Mode, learned: SpectralPrior, interval: float) -> bool:
-    """Whether a force above the natural frequency or the color of the noise there has edges that look like a mode."""
-    near = mode.natural_frequency * (1 + SETTINGS.beside * np.array([-1.0, 0.0, 1.0]))
-    if learned.rising:
-        below, there, above = learned.spectrum.density(near)
-        low, high = sorted((below, above))
-        # a force that stands for a mode has a peak for its resonance, and a hole beside it for its antiresonance
-        return not (there > SETTINGS.peaked * high and high > SETTINGS.peaked * low)
-    if learned.color is None:
-        return False
-    below, there, above = learned.color.density(near, width=0.0)
-    # an edge has its level on one side of it: what stands out of both is the mode, taken for a color
-    peaked = there > SETTINGS.peaked * max(below, above)
-    return bool(there > learned.noise**2 * interval and not peaked)
-
-
-def _peaks(record: ComponentRecord, *, noise: float, steps: Sequence[Step], hum: Sequence[Line]) -> list[Peak]:
-    """A narrow peak in the reading of a decoupled component, in which no mode of the dynamics shows."""
-    seen = _unbroken(record, steps, hum)
-    if seen is None:
-        return []
-    reading, within = seen
-    averaged = Averaged.of(_without_steps(reading, within), interval=reading.interval, noise=noise)
-    mode = None if averaged is None else missing_mode(averaged, record.dynamics)
-    return [] if mode is None else [Peak(record.dynamics.component, mode.mode.natural_frequency, mode.u_frequency)]
-
-
-def _unbroken(
-    record: ComponentRecord, steps: Sequence[Step], hum: Sequence[Line]
-) -> tuple[Observation, list[Step]] | None:
-    """The longest stretch of a reading without a gap, hum taken out, and the steps within; None where it is still."""
-    reading = record.reading()
-    lines = reading_of_lines(tuple(hum), count=reading.values.size, interval=reading.interval) if hum else 0.0
-    told = reading.present & ~record.hides_motion  # what is hidden and not found swings as well
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], told, [False])).astype(np.int8)))
-    stretches = edges.reshape(-1, 2)
-    if not len(stretches):
-        return None
-    first, last = (int(edge) for edge in stretches[np.argmax(stretches[:, 1] - stretches[:, 0])])
-    last = min(last, first + SETTINGS.longest)
-    values = (reading.values - lines)[first:last]
-    if values.size < FEWEST_SAMPLES or float(np.ptp(values)) == 0:
-        return None
-    begin, end = first * reading.interval, last * reading.interval
-    within = [replace(step, instant=step.instant - begin) for step in steps if begin <= step.instant < end]
-    return replace(reading, values=values), within
-
-
-def _without_steps(reading: Observation, steps: Sequence[Step]) -> Array:
-    """Reading less the mean, the steps and the free motion that explain it best, shape (n,)."""
-    columns = columns_of(list(steps), reading)
-    sizes, *_ = np.linalg.lstsq(columns, reading.values, rcond=None)
-    return np.asarray(reading.values - columns @ sizes)
-
-
-def _without_tones(values: Array) -> Array:
-    """One component's readings less their steady tones, shape (n,)."""
-    return np.asarray(without_tones(values[:, None])[:, 0])
-
-
-def _possible(found: Misfit, *, most: float) -> Misfit:
-    """The same without a size of the ringing that is more than the balance load has."""
-    return found if found.size is None or found.size <= most else replace(found, size=None)
-
-
-def _in_spectrum(values: Array, dynamics: Dynamics, *, interval: float, noise: float) -> Misfit:
-    """What the spectrum of a record tells."""
-    seen = Averaged.of(values, interval=interval, noise=noise)
-    if seen is None:
-        return Misfit(dynamics.component)
-    found = missing_mode(seen, dynamics)
-    size = None
-    if found is not None:
-        mode = found.mode
-        width = max(4 * mode.damping_ratio * mode.natural_frequency, 2 * seen.resolution)
-        near = np.abs(seen.frequency - mode.natural_frequency) < width
-        size = float(np.sqrt(2 * np.sum(seen.power[near]) * seen.resolution))
-    width = 2 * dynamics.damping_ratio * dynamics.natural_frequency
-    own = own_resonance(seen, dynamics) if seen.resolution < width else None
-    changes: list[tuple[float, float] | None] = [None, None]
-    if own is not None and own[2] > SETTINGS.changed:
-        for index, name in enumerate(("natural_frequency", "damping_ratio")):
-            known = dynamics.uncertainty(name) / getattr(dynamics, name)
-            u = float(np.hypot(np.sqrt(own[1][index, index]), known))
-            changes[index] = _if_changed(float(own[0][index]), u)
-    return Misfit(
-        dynamics.component,
-        missing=None if found is None else found.mode,
-        u_frequency=0.0 if found is None else found.u_frequency,
-        u_share=0.0 if found is None else found.u_share,
-        size=size,
-        frequency=changes[0],
-        damping=changes[1],
-    )
-
-
-def _if_changed(change: float, u: float) -> tuple[float, float] | None:
-    """A relative change with its uncertainty where its logarithm, found with an uncertainty, is more than chance.
-
-    A factor that is hardly told may be large, and its excess over one then says nothing: exp(1.7) - 1 is 4.5, which is
-    six times the 0.7 that the logarithm is uncertain by, and yet 1.7 is no more than 2.4 times that.
-    """
-    factor = float(np.exp(change))
-    return (float(np.expm1(change)), factor * u) if abs(change) > SETTINGS.drift * u else None

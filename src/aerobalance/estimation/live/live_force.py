@@ -39,6 +39,7 @@ from aerobalance.estimation.live.pending import Pending
 from aerobalance.estimation.live.platform import LiveChannel
 from aerobalance.estimation.prior import SpectralPrior
 from aerobalance.estimation.steps import Step
+from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError
@@ -181,6 +182,7 @@ class LiveForce:
 
     # ---- readings in, forces out
 
+    @one_blas_thread()
     def push(self, block: ArrayLike | Mapping[str, ArrayLike], *, first: int | None = None) -> dict[str, LiveEstimate]:
         """Take a block of readings; return what has become final by it, the same samples of all components.
 
@@ -216,6 +218,7 @@ class LiveForce:
             self._take(self._decimator.push(self._aligner.push(self._without_saturated(rows))))
         return self._found()
 
+    @one_blas_thread()
     def finish(self) -> dict[str, LiveEstimate]:
         """End the stream; return the samples that were still waiting, by all readings.
 
