@@ -266,14 +266,18 @@ def _spoken(spoken: Spoken, dynamics: Dynamics) -> Misfit:
 
 def _looks_alike(mode: Mode, learned: SpectralPrior, interval: float) -> bool:
     """Whether a force above the natural frequency or the color of the noise there has edges that look like a mode."""
-    near = mode.natural_frequency * (1 + SETTINGS.beside * np.array([-1.0, 0.0, 1.0]))
     if learned.rising:
-        below, there, above = learned.spectrum.density(near)
+        away = np.linspace(0.2, 1.5, 14) * SETTINGS.beside
+        below, above = (
+            float(learned.spectrum.density(mode.natural_frequency * (1 + side * away)).min()) for side in (-1, 1)
+        )
+        there = float(learned.spectrum.density(np.array([mode.natural_frequency]))[0])
         low, high = sorted((below, above))
         # a force that stands for a mode has a peak for its resonance, and a hole beside it for its antiresonance
         return not (there > SETTINGS.peaked * high and high > SETTINGS.peaked * low)
     if learned.color is None:
         return False
+    near = mode.natural_frequency * (1 + SETTINGS.beside * np.array([-1.0, 0.0, 1.0]))
     below, there, above = learned.color.density(near, width=0.0)
     # an edge has its level on one side of it: what stands out of both is the mode, taken for a color
     peaked = there > SETTINGS.peaked * max(below, above)
