@@ -211,7 +211,7 @@ def misfit_of(
     known = record.load
 
     def beside_steps(other: Dynamics, some: Sequence[Step]) -> Array:
-        return _without_tones(_without_steps(replace(reading, dynamics=other), some))
+        return _without_tones(without_steps(replace(reading, dynamics=other), some))
 
     spoken = spoken_for(
         _without_tones(reading.values),
@@ -290,7 +290,7 @@ def peaks_of(record: ComponentRecord, *, noise: float, steps: Sequence[Step], hu
     if seen is None:
         return []
     reading, within = seen
-    averaged = Averaged.of(_without_steps(reading, within), interval=reading.interval, noise=noise)
+    averaged = Averaged.of(without_steps(reading, within), interval=reading.interval, noise=noise)
     mode = None if averaged is None else missing_mode(averaged, record.dynamics)
     return [] if mode is None else [Peak(record.dynamics.component, mode.mode.natural_frequency, mode.u_frequency)]
 
@@ -316,7 +316,7 @@ def unbroken(
     return replace(reading, values=values), within
 
 
-def _without_steps(reading: Observation, steps: Sequence[Step]) -> Array:
+def without_steps(reading: Observation, steps: Sequence[Step]) -> Array:
     """Reading less the mean, the steps and the free motion that explain it best, shape (n,)."""
     columns = columns_of(list(steps), reading)
     sizes, *_ = np.linalg.lstsq(columns, reading.values, rcond=None)

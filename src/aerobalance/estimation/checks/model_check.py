@@ -13,21 +13,28 @@ import numpy as np
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.applied_force import Force
-from aerobalance.estimation.checks.misfit import ModelDoubt, misfit_of, peaks_of, unbroken
+from aerobalance.estimation.checks.misfit import ModelDoubt, misfit_of, peaks_of, unbroken, without_steps
 from aerobalance.estimation.checks.mode_shapes import shape_doubts
 from aerobalance.estimation.checks.model_error import as_noise, error_under
-from aerobalance.estimation.checks.not_linear import not_linear
+from aerobalance.estimation.checks.not_linear import NotLinear, not_linear
 from aerobalance.estimation.checks.peaks import peak_doubts
 from aerobalance.estimation.checks.resonance import Spoken
 from aerobalance.estimation.checks.unmeasured_rotation import turning_by_angles
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.independent_record import SingleRecord
 from aerobalance.estimation.result import ComponentForce, with_doubt, with_errors
+from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import DOUBTED
 
 DYNAMICS: Final = ("natural frequency", "damping ratio", "missing mode")
 """Kinds of doubt about the dynamics."""
+
+MATTERS: Final = 0.3
+"""Error by what is not linear over the uncertainty, or over what other dynamics do, from which it is worth a word."""
+
+MATTERS_WITH_STEPS: Final = 1.0
+"""The same beside steps, of which a little is left that goes with the ringing."""
 
 LEFT_OPEN: Final = "dynamics that the record leaves open"
 """Name of what other dynamics may do to a force that the record neither shows nor rules out."""
@@ -76,11 +83,14 @@ def checked(force: Force) -> Force:
             if "colored noise" in kinds:
                 misfit = replace(misfit, silent=False)  # noise does not ring
             found, interval = misfit.doubts(own), one.interval
+            bent, error = _not_linear(one, force[name]) or (None, np.zeros(0))
+            if bent is not None and bent.of_spring and bent.probability == 1:
+                found = _of_a_spring(found, bent, error, force=force[name].values, own=own, interval=interval)
             parts[name] = _raised(parts[name], found, own, interval=interval)
             if misfit.possible is not None:
                 parts[name] = _left_open(parts[name], misfit.possible, own, interval=interval)
-            if not found and not kinds & {"colored noise", "unexplained"}:
-                parts[name] = _bent(parts[name], one)
+            if bent is not None and not found and (bent.of_spring or not kinds & {"colored noise", "unexplained"}):
+                parts[name] = _bent(parts[name], one, bent, error)
     return replace(force, parts={name: _without_vague(part) for name, part in parts.items()})
 
 
@@ -106,18 +116,46 @@ def _left_open(force: ComponentForce, possible: Spoken, own: ModalModel, *, inte
     return with_errors(force, noise)
 
 
-def _bent(force: ComponentForce, record: SingleRecord) -> ComponentForce:
-    """A force whose uncertainty counts friction and damping that is not linear, where the record shows it.
+def _not_linear(record: SingleRecord, force: ComponentForce) -> tuple[NotLinear, Array] | None:
+    """What a record shows that is not linear, and the error of the force by it, (n,) [N]; None where it is small."""
+    seen = unbroken(record, force.steps, force.hum)
+    if seen is None:
+        return None
+    reading, within = seen
+    bent = not_linear(reading, record.dynamics, left=without_steps(reading, within) if within else None)
+    if bent is None:
+        return None
+    error = bent.force(force.values, record.dynamics, interval=record.interval)
+    least = MATTERS_WITH_STEPS if within else MATTERS
+    return (bent, error) if _rms(error) > least * _rms(force.uncertainty) else None
 
-    A step, or a shock, has power at all frequencies, in phase with what it does within the band of the load.
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def _of_a_spring(
+    found: list[ModelDoubt], bent: NotLinear, error: Array, *, force: Array, own: ModalModel, interval: float
+) -> list[ModelDoubt]:
+    """The doubts of the dynamics, named by a spring that is not linear where that explains them: it looks like modes.
+
+    One of them is left, with what the dynamics that the record speaks for do to the force.
     """
-    seen = None if force.steps else unbroken(record, force.steps, force.hum)
-    shown = None if seen is None else not_linear(seen[0], record.dynamics)
-    if shown is None:
-        return force
-    error = shown.force(force.values, record.dynamics, interval=record.interval)
+    others = [(one, one.other) for one in found if one.other is not None]
+    sizes = [_rms(error_under(force, own=own, other=other, interval=interval)) for _, other in others]
+    if not others or _rms(error) < MATTERS * max(sizes):
+        return found
+    doubt = bent.doubt(own.component, effect=0.0, unit=si_unit(own.component))
+    return [replace(others[int(np.argmax(sizes))][0], doubt=doubt)]
+
+
+def _bent(force: ComponentForce, record: SingleRecord, bent: NotLinear, error: Array) -> ComponentForce:
+    """A force whose uncertainty counts what is not linear, by its probability where the record leaves it open."""
     unit, period = si_unit(record.dynamics.component), 1 / record.dynamics.natural_frequency
-    doubt = shown.doubt(record.dynamics.component, effect=float(np.sqrt(np.mean(error**2))), unit=unit)
+    if bent.probability < 1:
+        weighted = np.sqrt(bent.probability) * error
+        return with_errors(force, as_noise(weighted, name=LEFT_OPEN, period=period, interval=record.interval))
+    doubt = bent.doubt(record.dynamics.component, effect=_rms(error), unit=unit)
     noise = as_noise(error, name=f"{DOUBTED}{doubt.kind}", period=period, interval=record.interval)
     return with_doubt(force, doubt, noise)
 
