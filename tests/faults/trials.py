@@ -18,7 +18,7 @@ import numpy as np
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.applied_force import Force
-from aerobalance.estimation.checks.resonance import Evidence
+from aerobalance.estimation.checks.evidence import Evidence
 from aerobalance.estimation.force import estimate_force
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import COMPONENTS, si_unit

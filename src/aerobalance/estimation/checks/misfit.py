@@ -17,8 +17,9 @@ from aerobalance.dynamics.modal import ModalModel, Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.local_modes import Averaged, missing_mode, own_resonance
 from aerobalance.estimation.checks.peaks import Peak
-from aerobalance.estimation.checks.resonance import Spoken, change_by_steps, spoken_for
+from aerobalance.estimation.checks.resonance import Spoken, spoken_for
 from aerobalance.estimation.checks.steady_tones import without_tones
+from aerobalance.estimation.checks.step_ringing import change_by_steps
 from aerobalance.estimation.independent_record import SingleRecord
 from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.record import FEWEST_SAMPLES, ComponentRecord

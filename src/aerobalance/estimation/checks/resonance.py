@@ -10,26 +10,21 @@ chooses among them as well. That needs no record of a given length and no load o
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit
 
-from aerobalance.dynamics.modal import ModalModel, Mode
+from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.checks.evidence import SETTINGS as EVIDENCE
+from aerobalance.estimation.checks.evidence import Evidence, numbers_of
 from aerobalance.estimation.checks.near_resonance import near_resonance
-from aerobalance.estimation.force_smoother import instant_columns
-from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares
-from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, ShapedNoise
-from aerobalance.estimation.spectra.periodogram import LONGEST, Periodogram, averages_for, density_of
-from aerobalance.estimation.spectra.whittle import SpectrumFit, fit_spectrum, refit_spectrum
-from aerobalance.estimation.statespace.kalman import KalmanFilter
-from aerobalance.estimation.steps import Step, response_to
+from aerobalance.estimation.prior import SpectralPrior
+from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array
-from aerobalance.recording.fourier import hann
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,16 +62,6 @@ class ResonanceSettings:
     shares, large_shares
         Shares of a further mode that are tried, and the damping ratio that it is tried with; large ones at the highest
         peak alone.
-    peaks
-        Peaks of the spectrum that are tried as a resonance, at most.
-    stands_out
-        Level of such a peak over the median about it [1].
-    surroundings
-        Half width of what is about a peak, over its frequency.
-    near
-        Relative distance from a known mode within which a peak is that of the mode.
-    samples
-        Samples that are looked at at most.
     most_tries
         Dynamics of a kind that are tried at most to come to the best; near that as many more as it is looked closer.
     beyond
@@ -87,8 +72,6 @@ class ResonanceSettings:
         Size of the second search over that of the first.
     share_shift
         Relative change of a share by which its uncertainty is taken.
-    iterations, settled
-        Iterations by which steps tell the dynamics, and change over its uncertainty at which they end.
     """
 
     decisive: float = 12.0
@@ -107,19 +90,12 @@ class ResonanceSettings:
     dampings: tuple[float, ...] = (1 / 2.5, 2.5)
     shares: tuple[tuple[float, float], ...] = ((0.03, 0.008), (-0.03, 0.008))
     large_shares: tuple[tuple[float, float], ...] = ((0.1, 0.012), (-0.1, 0.012))
-    peaks: int = 3
-    stands_out: float = 8.0
-    surroundings: float = 0.2
-    near: float = 0.04
-    samples: int = LONGEST
     most_tries: int = 20
     beyond: float = 1e3
     line: float = 0.3
     line_beside: float = 2.0
     closer: float = 0.3
     share_shift: float = 0.3
-    iterations: int = 20
-    settled: float = 0.1
 
 
 SETTINGS: Final = ResonanceSettings()
@@ -153,102 +129,6 @@ class Spoken(NamedTuple):
     probability: float = 1.0
 
 
-@dataclass(slots=True, eq=False)
-class Evidence:
-    """Evidence of dynamics in a reading.
-
-    Attributes
-    ----------
-    values
-        The reading without gaps and hum, its mean taken off, shape (n,) [N].
-    interval
-        Time between samples [s].
-    floor
-        Least density of the noise of the reading [N^2/Hz].
-    white
-        Density of the white part of its noise where the color is known [N^2/Hz]; None to find it.
-    color
-        What its noise has beyond white; None if nothing is known of it.
-    rising
-        Whether the force was seen to be stronger where the balance weakens it than elsewhere.
-    among
-        All dynamics near which some are compared: the periodogram is averaged alike for all of them.
-    """
-
-    values: Array
-    interval: float
-    floor: float
-    white: float | None = None
-    color: ColoredNoise | ShapedNoise | None = None
-    rising: bool = False
-    among: tuple[ModalModel, ...] = ()
-    _known: dict[tuple[float, ...], SpectrumFit] = field(default_factory=dict)
-    _density: Array | None = None
-    _edges: NDArray[np.int64] | None = None
-
-    def of(self, dynamics: ModalModel) -> float:
-        """Logarithm of the likelihood of the reading with dynamics, less the price of the force's spectrum."""
-        return self._fit(dynamics).evidence
-
-    def nearly(self, dynamics: ModalModel, start: ModalModel) -> float:
-        """The same, at most, of dynamics nearly like others: with a spectrum of the kind that is best with those."""
-        periodogram = self._periodogram(dynamics)
-        return refit_spectrum(
-            periodogram, self._fit(start), noise_density=self.white, floor=self.floor, rising=self.rising
-        ).evidence
-
-    def _fit(self, dynamics: ModalModel) -> SpectrumFit:
-        key = tuple(number for mode in dynamics.modes for number in (*_numbers(mode),))
-        if key not in self._known:
-            periodogram = self._periodogram(dynamics)
-            self._known[key] = fit_spectrum(
-                periodogram, noise_density=self.white, floor=self.floor, rising=self.rising
-            )
-        return self._known[key]
-
-    def _periodogram(self, dynamics: ModalModel) -> Periodogram:
-        color = self.color
-        if self._density is None:
-            self._density = density_of(self.values, self.interval)
-        if self._edges is None and self.among:
-            self._edges = averages_for(self.among, self.values.size, self.interval)
-        return Periodogram.of(
-            self.values,
-            dynamics,
-            interval=self.interval,
-            color=None if color is None else lambda f, width: color.density(f, width=width),
-            density=self._density,
-            edges=self._edges,
-        )
-
-    def peaks(self, dynamics: ModalModel) -> list[float]:
-        """Frequencies of narrow peaks that are no known mode's, the highest over its surroundings first [Hz]."""
-        count = self.values.size
-        power = np.abs(np.fft.rfft(self.values * hann(count))) ** 2
-        frequency = np.arange(power.size) / (count * self.interval)
-        edges = np.unique(np.geomspace(4, power.size - 1, 400).astype(int))
-        if edges.size < 16:
-            return []
-        # the mean of bins whose width grows with frequency, and of each octave about it the median
-        level = np.log(np.maximum(np.add.reduceat(power, edges[:-1]) / np.diff(edges), 1e-300))
-        middle = np.sqrt(frequency[edges[:-1]] * frequency[np.maximum(edges[1:] - 1, edges[:-1])])
-        about = np.array([np.median(level[np.abs(np.log(middle / f)) < SETTINGS.surroundings * 2]) for f in middle])
-        above = level - about
-        for mode in dynamics.modes:
-            above[np.abs(middle / mode.natural_frequency - 1) < SETTINGS.near] = 0.0
-        found: list[float] = []
-        while len(found) < SETTINGS.peaks and above.max() > np.log(SETTINGS.stands_out):
-            place = int(np.argmax(above))
-            own = slice(edges[place], edges[place + 1])
-            found.append(float(frequency[own][np.argmax(power[own])]))
-            above[np.abs(middle / middle[place] - 1) < SETTINGS.surroundings] = 0.0
-        return found
-
-
-def _numbers(mode: Mode) -> tuple[float, float, float]:
-    return mode.natural_frequency, mode.damping_ratio, mode.share
-
-
 def spoken_for(
     values: Array,
     dynamics: Dynamics,
@@ -278,7 +158,7 @@ def spoken_for(
         [N]. The ringing after steps tells more of a resonance near the expected one (`change_by_steps`). And a load of
         many steps has a spectrum of many lines, each of which may look like a resonance.
     """
-    values = values[: SETTINGS.samples]
+    values = values[: EVIDENCE.samples]
     evidence = Evidence(values - values.mean(), interval, least_noise**2 * interval)
     if learned is not None:
         white = None if learned.color is None else learned.noise**2 * interval
@@ -359,7 +239,7 @@ def _price(kind: str, evidence: Evidence) -> float:
 
 def _evidence_beside(evidence: Evidence, left: Array, dynamics: Dynamics, steps: Sequence[Step]) -> float:
     """Evidence of dynamics and steps together, by what these leave; Schwarz's price of the steps is paid."""
-    left = left[: SETTINGS.samples]
+    left = left[: EVIDENCE.samples]
     numbers = sum(3 if step.duration > 0 else 2 for step in steps)
     price = 0.5 * numbers * float(np.log(left.size / 2))
     return replace(evidence, values=left - left.mean(), _known={}, _density=None).of(dynamics) - price
@@ -429,7 +309,7 @@ def _best_near(evidence: Evidence, kind: str, dynamics: Dynamics, start: Dynamic
         mode = start.further_modes[-1]
 
         def made(point: Array) -> Dynamics:
-            f, ratio, share = np.exp(point) * _numbers(mode)
+            f, ratio, share = np.exp(point) * numbers_of(mode)
             return dynamics.with_modes(*dynamics.further_modes, Mode(f, ratio, share))
 
         size = np.array([0.01, 0.5, 0.5])
@@ -465,51 +345,3 @@ def _best_near(evidence: Evidence, kind: str, dynamics: Dynamics, start: Dynamic
 
 def _simplex(count: int) -> Array:
     return np.vstack([np.zeros(count), np.eye(count)])
-
-
-def change_by_steps(reading: Observation, steps: Sequence[Step], learned: SpectralPrior) -> tuple[Array, Array]:
-    """Return what the ringing after steps says of the first mode.
-
-    The responses to the steps are known shapes whose sizes are found by generalised least squares; natural frequency
-    and damping ratio are two more numbers on which they depend, found by Gauss and Newton's method.
-
-    Parameters
-    ----------
-    reading
-        The record, without gaps.
-    steps
-        Its steps.
-    learned
-        Prior of the rest.
-
-    Returns
-    -------
-    change, covariance
-        Change of the logarithms of natural frequency and damping ratio, shape (2,), and its covariance, (2, 2) [1].
-    """
-    filter_ = KalmanFilter.of(reading.system(learned), reading.present)
-    own, point, count = reading.dynamics, np.zeros(2), len(steps)
-    heights = np.array([step.height for step in steps])
-
-    def felt(moved: Array) -> Array:
-        other = own.retuned(frequency=float(np.exp(moved[0])), damping=float(np.exp(moved[1])))
-        at = replace(reading, dynamics=other)
-        return np.column_stack([response_to(step, at) for step in steps])
-
-    covariance = np.zeros((2, 2))
-    for _ in range(SETTINGS.iterations):
-        other = own.retuned(frequency=float(np.exp(point[0])), damping=float(np.exp(point[1])))
-        # beyond a fraction of the width of the resonance the slopes say nothing any more
-        most, small = np.array([0.5 * other.damping_ratio, 0.5]), np.array([0.05 * other.damping_ratio, 0.05])
-        shapes = instant_columns(replace(reading, dynamics=other), steps, heights=heights)[0]
-        slopes = [
-            (felt(point + part) - felt(point - part)) @ heights / (2 * step)
-            for part, step in zip(np.diag(small), small, strict=True)
-        ]
-        sizes, whole, _ = generalised_least_squares(filter_, reading.filled, np.column_stack([shapes, *slopes]))
-        heights, covariance = sizes[1 : 1 + count], whole[-2:, -2:]
-        change = np.clip(sizes[-2:], -most, most)
-        point = point + change
-        if (np.abs(change) < SETTINGS.settled * np.sqrt(np.diag(covariance))).all():
-            break
-    return point, covariance

@@ -16,9 +16,9 @@ import numpy as np
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.applied_force import Force
+from aerobalance.estimation.checks.evidence import SETTINGS as EVIDENCE
+from aerobalance.estimation.checks.evidence import Evidence
 from aerobalance.estimation.checks.mode_shapes import Moved
-from aerobalance.estimation.checks.resonance import SETTINGS as EVIDENCE
-from aerobalance.estimation.checks.resonance import Evidence
 from aerobalance.estimation.checks.ringing import Ringing
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.record import ComponentRecord

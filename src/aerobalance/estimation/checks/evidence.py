@@ -1,0 +1,142 @@
+"""How likely a reading is with some dynamics: the spectrum of the force learned with them, and what that costs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerobalance.dynamics.modal import ModalModel, Mode
+from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, ShapedNoise
+from aerobalance.estimation.spectra.periodogram import LONGEST, Periodogram, averages_for, density_of
+from aerobalance.estimation.spectra.whittle import SpectrumFit, fit_spectrum, refit_spectrum
+from aerobalance.recording.channel import Array
+from aerobalance.recording.fourier import hann
+
+
+@dataclass(frozen=True, slots=True)
+class EvidenceSettings:
+    """What of a reading is looked at.
+
+    Attributes
+    ----------
+    peaks
+        Peaks of the spectrum that are tried as a resonance, at most.
+    stands_out
+        Level of such a peak over the median about it [1].
+    surroundings
+        Half width of what is about a peak, over its frequency.
+    near
+        Relative distance from a known mode within which a peak is that of the mode.
+    samples
+        Samples that are looked at at most.
+    """
+
+    peaks: int = 3
+    stands_out: float = 8.0
+    surroundings: float = 0.2
+    near: float = 0.04
+    samples: int = LONGEST
+
+
+SETTINGS: Final = EvidenceSettings()
+"""Settings that are used."""
+
+
+@dataclass(slots=True, eq=False)
+class Evidence:
+    """Evidence of dynamics in a reading.
+
+    Attributes
+    ----------
+    values
+        The reading without gaps and hum, its mean taken off, shape (n,) [N].
+    interval
+        Time between samples [s].
+    floor
+        Least density of the noise of the reading [N^2/Hz].
+    white
+        Density of the white part of its noise where the color is known [N^2/Hz]; None to find it.
+    color
+        What its noise has beyond white; None if nothing is known of it.
+    rising
+        Whether the force was seen to be stronger where the balance weakens it than elsewhere.
+    among
+        All dynamics near which some are compared: the periodogram is averaged alike for all of them.
+    """
+
+    values: Array
+    interval: float
+    floor: float
+    white: float | None = None
+    color: ColoredNoise | ShapedNoise | None = None
+    rising: bool = False
+    among: tuple[ModalModel, ...] = ()
+    _known: dict[tuple[float, ...], SpectrumFit] = field(default_factory=dict)
+    _density: Array | None = None
+    _edges: NDArray[np.int64] | None = None
+
+    def of(self, dynamics: ModalModel) -> float:
+        """Logarithm of the likelihood of the reading with dynamics, less the price of the force's spectrum."""
+        return self._fit(dynamics).evidence
+
+    def nearly(self, dynamics: ModalModel, start: ModalModel) -> float:
+        """The same, at most, of dynamics nearly like others: with a spectrum of the kind that is best with those."""
+        periodogram = self._periodogram(dynamics)
+        return refit_spectrum(
+            periodogram, self._fit(start), noise_density=self.white, floor=self.floor, rising=self.rising
+        ).evidence
+
+    def _fit(self, dynamics: ModalModel) -> SpectrumFit:
+        key = tuple(number for mode in dynamics.modes for number in (*numbers_of(mode),))
+        if key not in self._known:
+            periodogram = self._periodogram(dynamics)
+            self._known[key] = fit_spectrum(
+                periodogram, noise_density=self.white, floor=self.floor, rising=self.rising
+            )
+        return self._known[key]
+
+    def _periodogram(self, dynamics: ModalModel) -> Periodogram:
+        color = self.color
+        if self._density is None:
+            self._density = density_of(self.values, self.interval)
+        if self._edges is None and self.among:
+            self._edges = averages_for(self.among, self.values.size, self.interval)
+        return Periodogram.of(
+            self.values,
+            dynamics,
+            interval=self.interval,
+            color=None if color is None else lambda f, width: color.density(f, width=width),
+            density=self._density,
+            edges=self._edges,
+        )
+
+    def peaks(self, dynamics: ModalModel) -> list[float]:
+        """Frequencies of narrow peaks that are no known mode's, the highest over its surroundings first [Hz]."""
+        count = self.values.size
+        power = np.abs(np.fft.rfft(self.values * hann(count))) ** 2
+        frequency = np.arange(power.size) / (count * self.interval)
+        edges = np.unique(np.geomspace(4, power.size - 1, 400).astype(int))
+        if edges.size < 16:
+            return []
+        # the mean of bins whose width grows with frequency, and of each octave about it the median
+        level = np.log(np.maximum(np.add.reduceat(power, edges[:-1]) / np.diff(edges), 1e-300))
+        middle = np.sqrt(frequency[edges[:-1]] * frequency[np.maximum(edges[1:] - 1, edges[:-1])])
+        about = np.array([np.median(level[np.abs(np.log(middle / f)) < SETTINGS.surroundings * 2]) for f in middle])
+        above = level - about
+        for mode in dynamics.modes:
+            above[np.abs(middle / mode.natural_frequency - 1) < SETTINGS.near] = 0.0
+        found: list[float] = []
+        while len(found) < SETTINGS.peaks and above.max() > np.log(SETTINGS.stands_out):
+            place = int(np.argmax(above))
+            own = slice(edges[place], edges[place + 1])
+            found.append(float(frequency[own][np.argmax(power[own])]))
+            above[np.abs(middle / middle[place] - 1) < SETTINGS.surroundings] = 0.0
+        return found
+
+
+def numbers_of(mode: Mode) -> tuple[float, float, float]:
+    """Natural frequency [Hz], damping ratio [1] and share [1] of a mode."""
+    return mode.natural_frequency, mode.damping_ratio, mode.share
