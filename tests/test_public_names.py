@@ -144,7 +144,7 @@ def test_six_components_from_outputs_of_the_bridges(rng):
 
 
 @pytest.mark.filterwarnings("ignore:.*the releases leave a force error:UserWarning")  # of some balances that are drawn
-def test_the_chain_of_a_test(rng):
+def test_the_chain_of_a_test(rng, tmp_path):
     balance = random_balance(rng)
     matrix = calibrated(balance, rng)
     zero = ab.Zero(still(balance, 0.0, 0.0).run(0.2, rng).recording, model_on=True)
@@ -174,6 +174,22 @@ def test_the_chain_of_a_test(rng):
     for name, (_, score, beside_u) in errors(force, simulation.applied, balance).items():
         assert beside_u < 2, name
         assert score < 4.5, name
+    kept = {
+        "balance.json": matrix,
+        "dynamics.json": dynamics,
+        "run.h5": simulation.recording,
+        "zero.h5": zero.recordings[0],
+        "mass.json": mass,
+    }
+    for name, result in kept.items():
+        ab.write(tmp_path / name, result)
+    matrix, dynamics, run, still_run, weighed = (ab.read(tmp_path / name) for name in kept)
+    assert weighed.mass == mass.mass
+    again = ab.estimate_force(run, dynamics, balance=matrix, zero=ab.Zero(still_run, model_on=True), hum="keep")
+    for name, part in force.items():
+        # what JSON and HDF5 keep is exact; masses are written about the centre of gravity, which rounds
+        np.testing.assert_allclose(again[name].values, part.values, atol=1e-6 * np.abs(part.values).max())
+        np.testing.assert_allclose(again[name].uncertainty, part.uncertainty, rtol=1e-4)
 
 
 def test_wrong_calls_say_what_is_allowed():

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from aerobalance.estimation.live.live_force import LiveForce
     from aerobalance.identification.identify import identify
     from aerobalance.identification.impact.tap_point import TapPoint
+    from aerobalance.io.any_result import write
     from aerobalance.io.anything import read
     from aerobalance.io.schedule import read_schedule
     from aerobalance.recording.recording import Recording
@@ -36,6 +37,7 @@ __version__ = VERSION
 _PLACES: Final = {
     "Recording": "aerobalance.recording.recording",
     "read": "aerobalance.io.anything",
+    "write": "aerobalance.io.any_result",
     "read_schedule": "aerobalance.io.schedule",
     "calibrate": "aerobalance.balance.calibration.fit",
     "weigh": "aerobalance.balance.weighing.from_outputs",
@@ -72,6 +74,7 @@ __all__ = [
     "reduce_outputs",
     "run_campaign",
     "weigh",
+    "write",
 ]
 
 

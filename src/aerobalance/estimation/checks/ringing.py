@@ -40,7 +40,8 @@ class RingingSettings:
     fine
         Points of an ordinate in which the determinant is averaged.
     stands_out
-        Power of the channels over that of their noise, their mean in a band, from which the band is compared.
+        Power of the channels over that of their noise and the ground's, their mean in a band, from which the band is
+        compared.
     """
 
     samples: int = 1 << 15
@@ -154,7 +155,10 @@ class Ringing:
         noise = np.array([parts[name].noise for name in record.dynamics.components]) ** 2 * interval
         raw = np.abs(np.fft.rfft(loads * window[:, None], axis=0)[inside].T) ** 2
         widths = np.diff(np.append(bands, frequency.size))
-        level = _sums(raw / noise[:, None], bands).mean(axis=0) / widths
+        # noise of the ground's sensors is a force that all components have in common, and rings as one
+        response = record.dynamics.response(frequency)
+        shaken = np.einsum("mij,jk,mik->im", response, record.motion_covariance, response.conj(), optimize=True)
+        level = _sums(raw / (noise[:, None] + interval * np.real(shaken)), bands).mean(axis=0) / widths
         shown = np.repeat(level > SETTINGS.stands_out, widths)
         return cls(
             frequency,
