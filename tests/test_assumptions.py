@@ -75,7 +75,7 @@ def test_what_is_declared_or_shown_is_not_assumed():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)  # nothing of it is true
         kinds = set(effects(ab.estimate_force(declared, case.dynamics)))
-    assert kinds <= {"cross-axis", "natural frequency"}
+    assert kinds <= {"cross-axis", "natural frequency", "colored noise"}
     # ringing tells the frequency
     assert "natural frequency" not in effects(tried(CASES["step alone"])[0])
     # so does a covariance that says how far it is off

@@ -13,6 +13,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from aerobalance.estimation.checks.assumptions import assumptions_of
+from aerobalance.estimation.checks.colored_noise import slow_noise_doubts
 from aerobalance.estimation.checks.faint_force import hidden_force
 from aerobalance.estimation.checks.ground_alignment import Alignment, alone, with_channel_aligned
 from aerobalance.estimation.checks.ground_channels import GroundFault
@@ -64,9 +65,6 @@ BEYOND_THE_BAND: Final = "force beyond the band, and at the ends"
 
 LONGEST_REACH: Final = 256
 """Samples beside something sudden, at most, in which the force goes wrong with it."""
-
-SLOW: Final = 0.5
-"""Frequency over the natural one below which noise that rises at low frequency has most of its power."""
 
 
 def noise_of_component(record: ComponentRecord) -> NoiseSpectrum:
@@ -215,7 +213,8 @@ class Fitted:
     @classmethod
     def _fitted(cls, record: ComponentRecord, hum: Hum) -> Fitted:
         reading, doubts = _with_noise(record)
-        signal = fit_signal_model(reading, hum=hum)
+        resolution = step_of(record.load) if moves_along_axis(record) else None
+        signal = fit_signal_model(reading, hum=hum, resolution=resolution)
         smoothed = SmootherResult.of(signal.reading, learned=signal.learned, steps=signal.steps)
         return cls(record, hum, signal, smoothed, doubts)
 
@@ -232,9 +231,7 @@ class Fitted:
         record, signal, fit = self.record, self.signal, self.smoothed
         reading, steps, learned = signal.reading, signal.steps, signal.learned
         doubts = list(self.doubts)
-        either = _color_or_force(record, learned) if record.noise is None and record.shared is None else []
-        doubts += either
-        if signal.floor is not None and signal.floor.may_be_force and not either:
+        if signal.floor is not None and signal.floor.may_be_force:
             doubts.append(signal.floor.doubt(record.dynamics.component, unit=si_unit(record.dynamics.component)))
         if signal.ended is not None:
             doubts.append(_search_ended(signal.ended))
@@ -275,7 +272,7 @@ class Fitted:
             period = 1 / record.dynamics.natural_frequency
             errors.append(as_noise(missed_there, name=NOT_EXPLAINED, period=period, interval=record.interval))
         for told, unseen in self._unseen(errors):
-            errors.append(unseen)
+            errors += unseen
             doubts += told
         return record.finish(
             fit.force,
@@ -299,27 +296,29 @@ class Fitted:
         largest = LARGEST_HUM * float(np.nanmax(np.abs(self.record.load)))
         return tuple(line for line in self.signal.large if line.amplitude > largest)
 
-    def _unseen(self, errors: Sequence[Contribution]) -> Iterator[tuple[list[Doubt], Contribution]]:
-        """What the record leaves open of a force that noise or steps of the converter hide, and of hum."""
+    def _unseen(self, errors: Sequence[Contribution]) -> Iterator[tuple[list[Doubt], list[Contribution]]]:
+        """What the record leaves open of noise with a color, of a force that noise or a converter hide, and of hum."""
         record, reading, learned = self.record, self.signal.reading, self.signal.learned
         component, count = record.dynamics.component, reading.values.size
         unit = si_unit(component)
+        for told, open_ in slow_noise_doubts(self.signal, component, unit=unit):
+            yield [told] if told else [], [open_] if open_ else []
         hidden = hidden_force(reading, learned, left=self.smoothed.residuals)
         if hidden is not None:
             told = hidden.doubt(component, unit=unit)
-            yield [told] if told else [], hidden.error(component, count=count, interval=reading.interval)
+            yield [told] if told else [], [hidden.error(component, count=count, interval=reading.interval)]
         if self.hum == "mains" and not self._driven:
             large = self.signal.large
             for doubt, noise in hum_doubts(
                 record.dynamics, learned, large=large, count=count, interval=reading.interval, unit=unit
             ):
-                yield [doubt], noise
+                yield [doubt], [noise]
         step = step_of(record.load)
         error = rounding_error(reading, learned, step=step) if step else None
         if error is not None:
             rest = float(np.sqrt(sum(np.mean(one.deviation**2) for one in errors)))
             told = resolution_doubt(component, error, step=step, rest=rest, unit=unit)
-            yield [told] if told else [], error
+            yield [told] if told else [], [error]
 
 
 def _with_values_of(record: ComponentRecord, reading: Observation) -> Observation:
@@ -360,29 +359,6 @@ def _search_ended(search: StepSearch) -> Doubt:
     name = search.reading.dynamics.component
     kind = "unexplained" if search.end == RINGS else "too many steps"
     return Doubt(kind, name, search.said, unit=si_unit(name))
-
-
-def _color_or_force(record: ComponentRecord, learned: SpectralPrior) -> list[Doubt]:
-    """A force which is fainter than the noise, and may be noise with a color."""
-    frequency = np.linspace(0, 0.5 / record.interval, FREQUENCIES)[1:]
-    felt = np.abs(record.dynamics.response(frequency)) ** 2 * learned.spectrum.density(frequency)
-    size = float(np.sqrt(np.mean(felt) / record.interval))
-    low = float(np.sum(felt[frequency < SLOW * record.dynamics.natural_frequency]))
-    if not 0 < size < learned.noise or low < float(np.sum(felt)) / 2:
-        return []
-    name, unit = record.dynamics.component, si_unit(record.dynamics.component)
-    return [
-        Doubt(
-            "colored noise",
-            name,
-            f"{name} fluctuates by {size:.2g} {unit} rms beside a white noise of {learned.noise:.2g} {unit}: that is "
-            "taken for force, but noise of the electronics that rises at low frequency (1/f) looks the same and is "
-            "then an error of that size, which the uncertainty does not hold",
-            f"a record of noise alone ({argument('noise')}) decides",
-            size,
-            unit,
-        )
-    ]
 
 
 def _tell_of_hum(record: ComponentRecord, lines: tuple[Line, ...], *, driven: tuple[Line, ...]) -> None:

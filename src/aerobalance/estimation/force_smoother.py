@@ -10,9 +10,17 @@ from typing import Final
 import numpy as np
 
 from aerobalance.estimation.error_sources import Contribution, Noise, Systematic
-from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares, least_squares, whitened
+from aerobalance.estimation.prior import (
+    Observation,
+    SpectralPrior,
+    bridged,
+    generalised_least_squares,
+    least_squares,
+    whitened,
+)
 from aerobalance.estimation.spectra.line_noise import Hum, Line, columns_of_lines, hum_lines
 from aerobalance.estimation.spectra.noise_floor import Floor, with_floor
+from aerobalance.estimation.spectra.slow_noise import SlowNoise, slow_noise_of
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, StateSpace
 from aerobalance.estimation.step_search import StepSearch
 from aerobalance.estimation.steps import Step, columns_of, response_to, shape_of, side_variance
@@ -58,6 +66,8 @@ class SignalModel:
         Lines at frequencies of the mains that are too large a part of the record to be taken for hum.
     floor
         What may be a color of the noise, far above the natural frequency; None if there is nothing.
+    slow
+        Noise that may rise at low frequency; None if there is nothing.
     ended
         The search for steps, where it ended before all were found; else None.
     """
@@ -68,14 +78,25 @@ class SignalModel:
     hum: tuple[Line, ...]
     large: tuple[Line, ...]
     floor: Floor | None = None
+    slow: SlowNoise | None = None
     ended: StepSearch | None = None
 
 
-def fit_signal_model(reading: Observation, *, hum: Hum) -> SignalModel:
+def fit_signal_model(reading: Observation, *, hum: Hum, resolution: float | None = None) -> SignalModel:
     """Find hum, steps and prior of a record.
 
     Steps ring over a wide band and hide weak lines and the color of the noise, so both are looked for again when the
     steps are known.
+
+    Parameters
+    ----------
+    reading
+        The record.
+    hum
+        What is to be taken for hum.
+    resolution
+        Step of its converter [N], where it is the reading of one channel: its noise may then rise at low frequency.
+        None where it is decoupled from other components, as what is left of these may rise as well.
     """
     lines, large = _hum_of(reading, reading.values, hum)
     named, floor = _looked_above(replace(reading, hum=tuple(line.frequency for line in lines)), [])
@@ -91,7 +112,15 @@ def fit_signal_model(reading: Observation, *, hum: Hum) -> SignalModel:
             steps, learned = search.run()
         else:
             named = replace(named, hum=again.hum)
-    return SignalModel(named, steps, learned, lines, large, floor, search if search.said else None)
+    slow = None
+    if resolution is not None:
+        left = bridged(named, learned, columns=columns_of(steps, named))
+        slow = slow_noise_of(named, learned, left=left, resolution=resolution)
+    if slow is not None and slow.likely:
+        named = slow.taken_by(named)
+        search = StepSearch(named)
+        steps, learned = search.run()
+    return SignalModel(named, steps, learned, lines, large, floor, slow, search if search.said else None)
 
 
 def _looked_above(reading: Observation, steps: Sequence[Step]) -> tuple[Observation, Floor | None]:

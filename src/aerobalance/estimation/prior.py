@@ -178,13 +178,24 @@ def _learned_beside(
     reading: Observation, learned: SpectralPrior, columns: Array, *, smooth: bool = False
 ) -> SpectralPrior:
     """What is learned when the known shapes are taken out under a prior, and gaps bridged by its smoother."""
+    return _learn(reading, bridged(reading, learned, columns=columns), smooth=smooth)
+
+
+def bridged(reading: Observation, learned: SpectralPrior, *, columns: Array) -> Array:
+    """Return the readings with known shapes taken out under a prior, and gaps bridged by its smoother, (n,) [N].
+
+    Parameters
+    ----------
+    reading, learned
+        The record, and the prior.
+    columns
+        Known shapes whose sizes are free, shape (n, p).
+    """
     present = reading.present
     filter_ = KalmanFilter.of(reading.system(learned), present)
     sizes, *_ = generalised_least_squares(filter_, reading.filled, columns)
     left = np.where(present, reading.values - columns @ sizes, 0.0)
-    if not present.all():
-        left = np.where(present, left, filter_.smooth(left[:, None], [LOAD])[:, 0, 0])
-    return _learn(reading, left, smooth=smooth)
+    return left if present.all() else np.where(present, left, filter_.smooth(left[:, None], [LOAD])[:, 0, 0])
 
 
 def refine_edges(reading: Observation, learned: SpectralPrior, *, columns: Array) -> SpectralPrior:

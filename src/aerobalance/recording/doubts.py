@@ -96,7 +96,7 @@ class Assumption:
     Attributes
     ----------
     kind
-        What it is: ``"load filter"``, ``"gain"``, ``"cross-axis"`` or ``"natural frequency"``.
+        What it is: ``"load filter"``, ``"gain"``, ``"cross-axis"``, ``"natural frequency"`` or ``"colored noise"``.
     component
         Component whose force is meant.
     text

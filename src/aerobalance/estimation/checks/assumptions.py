@@ -14,6 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.estimation.checks.colored_noise import noise_assumed
 from aerobalance.estimation.checks.model_error import error_under
 from aerobalance.estimation.force_smoother import SmootherResult, instant_columns
 from aerobalance.estimation.independent_record import SingleRecord, moves_along_axis
@@ -85,6 +86,8 @@ def assumptions_of(record: ComponentRecord, fit: SmootherResult, through: Throug
         at_steps = np.sum([step.height**2 for step in fit.steps]) * late / (fit.force.size * record.interval)
         yield _told("load filter", name, text, float(np.hypot(effect_of(change), np.sqrt(at_steps))), unit)
     if moves_along_axis(record):
+        if record.noise is None and fit.learned.color is None:
+            yield from noise_assumed(fit.reading, fit.learned, name, unit=unit)
         yield from _of_single(record, fit, unit)
     across = record.motion_across
     if across is not None:

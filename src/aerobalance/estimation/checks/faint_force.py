@@ -1,8 +1,11 @@
 """A force that the noise hides: what could be there and not be found.
 
 Where no fluctuation of the force is found, there may be one below its own detection. What a record leaves open of it
-is averaged over the hypotheses: none, a band from zero up to some frequency, or a line at some frequency, each of any
-level, by Whittle's likelihood.
+is averaged over the hypotheses: a band from zero up to some frequency, or a line at some frequency, each of any root
+mean square, all alike before the record is looked at, by Whittle's likelihood. That there is none is no part of this
+average, nor is it likelier that a force is small by orders of magnitude: either would say in advance that nothing is
+there, and a force just below detection would then be larger than its uncertainty. Both are only weighed where it is
+asked whether something is to be told.
 """
 
 from __future__ import annotations
@@ -35,7 +38,8 @@ class FaintSettings:
     lowest
         Width of the narrowest band in ordinates.
     none, bands
-        Probabilities that there is none, and that there is a band, before the record is looked at; else a line.
+        Probabilities that there is none, and that there is a band, before the record is looked at; else a line. That
+        there is none counts where it is asked whether one is told.
     told
         Odds that there is one, by the record alone, from which on it is told.
     """
@@ -131,8 +135,10 @@ def hidden_force(reading: Observation, learned: SpectralPrior, *, left: Array) -
     reach = np.concatenate([[0.0], np.repeat(widths[some], level.size), np.repeat(frequency + line, level.size)])
     likely = chance * np.exp(evidence - evidence.max())
     likely /= likely.sum()
-    mean = float(likely @ power)
-    if not mean > 0:
+    open_ = likely * np.sqrt(power)  # levels are a constant ratio apart: so each root mean square counts alike
+    if not open_.any():
         return None
+    open_ /= open_.sum()
+    mean = float(open_ @ power)
     odds = (1 - likely[0]) / max(float(likely[0]), 1e-300) * SETTINGS.none / (1 - SETTINGS.none)
-    return Hidden(float(np.sqrt(mean)), float(odds), float(likely @ (power * reach)) / mean)
+    return Hidden(float(np.sqrt(mean)), float(odds), float(open_ @ (power * reach)) / mean)

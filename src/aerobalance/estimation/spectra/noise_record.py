@@ -68,6 +68,9 @@ MISFIT: Final = 1e-7
 MATTERS: Final = 0.3
 """Logarithm of the ratio of power from which on they are said to differ."""
 
+ANY_EXPONENT: Final = (1.0, np.inf)
+"""Exponent of the 1/f part and its standard deviation before the record is looked at, where it alone is to tell it."""
+
 FAINTEST: Final = 0.05
 """Least white density over the mean one."""
 
@@ -105,19 +108,37 @@ def noise_spectrum_of(
         raise FitError(f"{name}: {dynamics.component} does not change; a record of its noise is needed")
     seen = Ordinates.of(values, dynamics, interval=interval, input_density=input_density, name=name)
     point = fitted(seen)
-    covariance = _covariance(point, seen)
     _tell_of_misfit(seen, model_of(point, seen), component=dynamics.component, name=name)
-    white = float(np.exp(point[0]))
-    humps = humps_of(point)
+    return _spectrum_of(point, seen)
+
+
+def likeliest_slow(start: Array, seen: Ordinates, usual: tuple[float, float]) -> tuple[NoiseSpectrum, Array]:
+    """White noise with a 1/f part that is likeliest beside what is known, and its point, found from another.
+
+    Parameters
+    ----------
+    start
+        Logarithms of the white density and of the 1/f part at 1 Hz [N^2/Hz], and the exponent, shape (3,).
+    seen
+        The record; what is `fixed` in it may be a force as well.
+    usual
+        Exponent that such noise usually has, and its standard deviation.
+    """
+    point, _ = _lowered(start, seen, float(np.exp(start[0])), usual=usual)
+    return _spectrum_of(point, seen, usual=usual), point
+
+
+def _spectrum_of(point: Array, seen: Ordinates, *, usual: tuple[float, float] = ANY_EXPONENT) -> NoiseSpectrum:
+    """The spectrum of a point."""
+    covariance = _covariance(point, seen, usual=usual)
     slow = np.isfinite(point[1])
     exponent = float(point[2]) if slow else 0.0
-    corner = float(np.exp((point[1] - point[0]) / exponent)) if slow else 0.0
     return NoiseSpectrum(
-        white=white,
-        corner=corner,
+        white=float(np.exp(point[0])),
+        corner=float(np.exp((point[1] - point[0]) / exponent)) if slow else 0.0,
         exponent=exponent,
-        humps=humps,
-        interval=interval,
+        humps=humps_of(point),
+        interval=seen.interval,
         covariance=covariance[1:3, 1:3],
         u_white=float(np.sqrt(covariance[0, 0])),
         left_out=seen.lines,
@@ -346,7 +367,9 @@ def _hump_start(point: Array, seen: Ordinates) -> Array:
     return best if np.isfinite(gain) else np.log([seen.frequency[-1] / 2, 1.0, 1e-3 * model[-1]])
 
 
-def _lowered(start: Array, seen: Ordinates, mean: float) -> tuple[Array, float]:
+def _lowered(
+    start: Array, seen: Ordinates, mean: float, *, usual: tuple[float, float] = ANY_EXPONENT
+) -> tuple[Array, float]:
     """The point of least cost from a start, and that cost."""
     free = np.isfinite(start)
     free[2] = free[1]
@@ -363,8 +386,12 @@ def _lowered(start: Array, seen: Ordinates, mean: float) -> tuple[Array, float]:
         return full
 
     def cost(point: Array) -> tuple[float, Array]:
-        model, slopes = model_of(whole(point), seen), slopes_of(whole(point), seen)[free]
-        return cost_of(model, seen), slopes @ (seen.weight * (1 - seen.density / model) / model)
+        full = whole(point)
+        model, slopes = model_of(full, seen), slopes_of(full, seen)
+        slope = slopes @ (seen.weight * (1 - seen.density / model) / model)
+        off = (full[2] - usual[0]) / usual[1]
+        slope[2] += off / usual[1]
+        return cost_of(model, seen) + 0.5 * off**2, slope[free]
 
     found = minimize(
         cost,
@@ -377,13 +404,14 @@ def _lowered(start: Array, seen: Ordinates, mean: float) -> tuple[Array, float]:
     return whole(found.x), float(found.fun)
 
 
-def _covariance(point: Array, seen: Ordinates) -> Array:
+def _covariance(point: Array, seen: Ordinates, *, usual: tuple[float, float] = ANY_EXPONENT) -> Array:
     """Covariance of a point's numbers, from Fisher's information; zero for those that it does not have."""
     model = model_of(point, seen)
     free = np.isfinite(point)
     free[2] = free[1]
     slopes = slopes_of(point, seen) / model
     information = (slopes * seen.weight) @ slopes.T
+    information[2, 2] += 1 / usual[1] ** 2
     covariance = np.zeros((point.size, point.size))
     covariance[np.ix_(free, free)] = np.linalg.pinv(information[np.ix_(free, free)], hermitian=True)
     return covariance

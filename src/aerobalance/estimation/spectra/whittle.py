@@ -123,6 +123,21 @@ def refit_spectrum(
     return _with_noise(start.spectrum, periodogram, noise, floor=least)
 
 
+def evidence_of(spectrum: Spectrum, periodogram: Periodogram, noise: float, *, floor: float | None) -> SpectrumFit:
+    """Return a spectrum of the force that is known, with the noise found from one, and the evidence for both.
+
+    Parameters
+    ----------
+    spectrum, periodogram
+        The spectrum, and the reading.
+    noise
+        Density of the noise to begin with [N^2/Hz].
+    floor
+        Least density of it [N^2/Hz]; None to keep it.
+    """
+    return _with_noise(spectrum, periodogram, noise, floor=floor)
+
+
 def _segmented(periodogram: Periodogram, noise: float, *, floor: float | None, rising: bool) -> SpectrumFit:
     """Segments and noise in turn, from a noise; it is kept where no floor is given."""
     for _ in range(TURNS):
