@@ -11,7 +11,7 @@ KINDS: Final[Mapping[str, str]] = {
     "natural frequency": "the balance rings at another natural frequency than that of the dynamics",
     "damping ratio": "the balance rings with another damping ratio than that of the dynamics",
     "missing mode": "the balance rings in a mode that the dynamics lack",
-    "not linear": "friction, or damping that changes with the motion, which linear dynamics lack",
+    "not linear": "friction, or damping or stiffness that changes with the motion, which linear dynamics lack",
     "swapped sign": "a component has another sign than in the modes of the dynamics",
     "swapped channels": "two components are exchanged against the modes of the dynamics",
     "ground delay": "a sensor of the ground's motion is late or early against the load",

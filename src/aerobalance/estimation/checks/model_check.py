@@ -89,7 +89,11 @@ def checked(force: Force) -> Force:
             parts[name] = _raised(parts[name], found, own, interval=interval)
             if misfit.possible is not None:
                 parts[name] = _left_open(parts[name], misfit.possible, own, interval=interval)
-            if bent is not None and not found and (bent.of_spring or not kinds & {"colored noise", "unexplained"}):
+            if (
+                bent is not None
+                and not found
+                and (bent.probability == 1 or not kinds & {"colored noise", "unexplained"})
+            ):
                 parts[name] = _bent(parts[name], one, bent, error)
     return replace(force, parts={name: _without_vague(part) for name, part in parts.items()})
 
@@ -172,7 +176,7 @@ def _without_vague(force: ComponentForce) -> ComponentForce:
     Of dynamics that are not the balance's own the force shows as a noise of some color as well.
     """
     named = [doubt for doubt in force.doubts if doubt.kind != "unexplained"]
-    if any(doubt.kind in DYNAMICS for doubt in named):
+    if any(doubt.kind in (*DYNAMICS, "not linear") for doubt in named):
         named = [doubt for doubt in named if doubt.kind != "colored noise"]
     serious = any(doubt.effect is None or doubt.effect > 0 for doubt in named)
     return replace(force, doubts=tuple(named)) if serious else force
