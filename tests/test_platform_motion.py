@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from aerobalance.dynamics.rigid_body import RigidMass
+from aerobalance.motion.changes import MotionChanges
 from aerobalance.motion.least_squares import GroundFit
 from aerobalance.motion.platform import PlatformMotion
 from aerobalance.motion.sensors import ground_sensors
 from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY, VECTORS
-from aerobalance.recording.errors import DataQualityWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError, kept_warnings
 from aerobalance.recording.gravity import gravity_components
 from aerobalance.recording.recording import Recording
 
@@ -512,3 +513,25 @@ def test_impossible_mountings_are_refused(settings, words):
 def test_only_accelerometers_have_a_mounting():
     with pytest.raises(ValueError, match="place and axis are for"):
         Channel("AF", np.zeros(4), "N", place=(0.0, 0.0, 0.0))
+
+
+@pytest.mark.parametrize("along", [None, "AF"])
+def test_changes_of_a_channel_are_those_of_the_motion(along, rng):
+    """What the changed readings give, but for w x (w x r) at places r, which is of second order in the motion."""
+    platform, frequency = Platform(rng), 5.0
+    # by a change of the rate it changes by 2 w r, and the angular acceleration by 2 pi f
+    allowed = 2 * float(np.max(np.abs(platform.rate()))) * np.sqrt(3) * 0.5 / (2 * np.pi * frequency)
+    aft = dataclasses.replace(platform.sensor(9, (0, 0, 0), VECTORS["AF"]), name="ground_acceleration")
+    sensors = [*random_sensors(platform, rng, 8, noise=0.02), aft, *rates_of(platform, 1e-9)]
+    rec = platform.recording(*sensors, *platform.angles())
+    changes, before = MotionChanges.of(rec, along=along), PlatformMotion.of(rec, along=along).specific_force
+    assert len(changes.channels) == (3 if along else len(sensors) + 2)
+    for name in changes.channels:
+        channel = rec.channel(name)
+        by = 1e-4 * np.std(channel.values) * np.sin(2 * np.pi * frequency * rec.time)
+        other = dataclasses.replace(channel, values=channel.values + by)
+        again = dataclasses.replace(rec, channels={**rec.channels, name: other})
+        with kept_warnings():  # a sensor that differs from the others is told of
+            change = (PlatformMotion.of(again, along=along).specific_force - before)[INNER]
+        off = rms(changes.specific_force(name, by)[INNER] - change)
+        assert (off < max(allowed, 1e-3) * np.max(rms(change))).all(), name

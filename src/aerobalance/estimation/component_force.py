@@ -14,13 +14,10 @@ import numpy as np
 
 from aerobalance.estimation.checks.assumptions import assumptions_of
 from aerobalance.estimation.checks.faint_force import hidden_force
-from aerobalance.estimation.checks.ground_channels import SETTINGS as GROUND_CHANNELS
-from aerobalance.estimation.checks.ground_channels import (
-    Alignment,
-    driving_channels,
-    ground_doubts,
-    with_channel_aligned,
-)
+from aerobalance.estimation.checks.ground_alignment import Alignment, alone, with_channel_aligned
+from aerobalance.estimation.checks.ground_channels import GroundFault
+from aerobalance.estimation.checks.ground_doubts import ground_doubts
+from aerobalance.estimation.checks.ground_witnesses import SETTINGS as GROUND_CHANNELS
 from aerobalance.estimation.checks.mains_hum import hum_doubts
 from aerobalance.estimation.checks.model_error import as_noise
 from aerobalance.estimation.checks.resolution import resolution_doubt, rounding_error, step_of
@@ -200,7 +197,7 @@ class Fitted:
         told: dict[str, Alignment] = {}
         for _ in range(GROUND_CHANNELS.rounds):
             settled = True
-            for name in driving_channels(record):
+            for name in alone(record, found.smoothed).changes.channels:
                 step = with_channel_aligned(moved, found.smoothed, name)
                 if step is None:
                     continue
@@ -222,8 +219,16 @@ class Fitted:
         smoothed = SmootherResult.of(signal.reading, learned=signal.learned, steps=signal.steps)
         return cls(record, hum, signal, smoothed, doubts)
 
-    def estimate(self, *, few: bool = False) -> ComponentForce:
-        """The force with its uncertainty, by few numbers where that is enough, and what the record says against it."""
+    def estimate(self, *, few: bool = False, ground: Sequence[GroundFault] = ()) -> ComponentForce:
+        """The force with its uncertainty and what the record says against it.
+
+        Parameters
+        ----------
+        few
+            Whether it is enough to know what holds along the record by few numbers.
+        ground
+            What the loads say of the channels of the ground's motion.
+        """
         record, signal, fit = self.record, self.signal, self.smoothed
         reading, steps, learned = signal.reading, signal.steps, signal.learned
         doubts = list(self.doubts)
@@ -263,10 +268,9 @@ class Fitted:
             *record.motion_errors(moved),
             *record.reading_errors(fit.force, through),
         ]
-        if moves_along_axis(record):
-            for doubt, error in ground_doubts(record, fit, through, errors=tuple(errors)):
-                doubts.append(doubt)
-                errors.append(error)
+        for doubt, error in ground_doubts(record.dynamics.component, ground, through, errors=tuple(errors)):
+            doubts.append(doubt)
+            errors.append(error)
         if missed_there.any():
             period = 1 / record.dynamics.natural_frequency
             errors.append(as_noise(missed_there, name=NOT_EXPLAINED, period=period, interval=record.interval))

@@ -23,7 +23,7 @@ from aerobalance.motion.platform import PlatformMotion, SystematicParameter
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, IS_FORCE
 from aerobalance.recording.linalg import covariance_root
-from aerobalance.recording.resampling import FINE, upsample_compensated
+from aerobalance.recording.resampling import FINE, fractional_delay, upsample_compensated
 
 FAINT: Final = 1e-3
 """Rms of an error in a reading over its noise that is nothing beside it."""
@@ -183,11 +183,14 @@ class DecoupledRecord(ComponentRecord):
 
     def _felt(self, net: Array) -> Array:
         """Reading of the component under loads on the moving mass, shapes (samples,) and (samples, n) [N]."""
+        if not net[:, [self.decoupled.place, *(other.place for other in self.others)]].any():
+            return np.zeros(len(net))
         own = self.decoupled.response_to(net[:, [self.decoupled.place]], interval=self.interval)
         for other in self.others:
             theirs = other.response_to(net[:, [other.place]], interval=self.interval)
             own = own - self._taken_off(theirs, other)
-        return np.asarray(own[:, 0])
+        lag = self.channels[self.decoupled.place].delay - self.platform.delay
+        return np.asarray(fractional_delay(own[:, 0], delay=lag, interval=self.interval))
 
     def felt_under(self, item: SystematicParameter) -> Array:
         """Load felt under a unit of an unknown of the ground's motion, shape (samples,)."""

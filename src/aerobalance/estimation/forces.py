@@ -16,10 +16,13 @@ import numpy as np
 from aerobalance.balance.calibration_nonlinearity import NonlinearErrors
 from aerobalance.balance.loads import Loads, static_uncertainty
 from aerobalance.dynamics.balance_dynamics import BalanceDynamics
+from aerobalance.estimation.checks.ground_alignment import alone
+from aerobalance.estimation.checks.ground_channels import GroundFault, ground_faults
+from aerobalance.estimation.checks.ground_witnesses import Witness, Witnesses
 from aerobalance.estimation.component_force import Fitted, Method, by_smoother, estimated
 from aerobalance.estimation.correlated_noise import NoiseMatrix, SharedNoise, as_expected, shared_noise
 from aerobalance.estimation.coupled_record import CoupledRecord
-from aerobalance.estimation.independent_record import IndependentRecord
+from aerobalance.estimation.independent_record import IndependentRecord, moves_along_axis
 from aerobalance.estimation.missing_readings import MissingReadings
 from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.result import ComponentForce, with_balance, with_errors, with_few
@@ -133,16 +136,31 @@ def forces_of(
         better = predicted_noise(fits, record, filled=filled)
         fits |= dict(zip(better, side_by_side(anew, better, what="component"), strict=True))
 
+    with PROGRESS.stage(0.8, 0.85, "ground channels"):
+        ground = _ground_faults(fits, record)
+
     def estimated_with(name: str) -> ComponentForce:
         fit = fits.pop(name)
-        found = fit.estimate(few=few)
+        found = fit.estimate(few=few, ground=ground.pop(name, ()))
         if missing is not None:
             found = with_errors(found, missing.error(fit))
         return with_few(found) if few else found
 
-    with PROGRESS.stage(0.8, 1.0, "uncertainty"):
+    with PROGRESS.stage(0.85, 1.0, "uncertainty"):
         names = list(fits)
         return dict(zip(names, side_by_side(estimated_with, names, what="component"), strict=True))
+
+
+def _ground_faults(fits: Mapping[str, Fitted], record: ForceRecord) -> dict[str, Sequence[GroundFault]]:
+    """What the loads say of the channels of the ground's motion, by component; coupled ones are asked at once."""
+    asked = [alone(fit.record, fit.smoothed) for fit in fits.values() if moves_along_axis(fit.record)]
+    if isinstance(record, CoupledRecord) and record.dynamics.mass is not None:
+        every = tuple(Witness(fit.record, fit.smoothed) for fit in fits.values())
+        asked = [Witnesses(record.recording, every, None)]
+    found: dict[str, Sequence[GroundFault]] = {}
+    for one in side_by_side(ground_faults, asked):
+        found |= one
+    return found
 
 
 Answer = TypeVar("Answer")

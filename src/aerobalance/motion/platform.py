@@ -135,12 +135,8 @@ class PlatformMotion:
         FitError
             An accelerometer has no axis, or a channel no reading.
         """
-        recording = corrected(recording)
-        sensors = ground_sensors(recording) if along is None else driving_sensors(recording, along)
-        pull = _Gravity.of(recording, gravity)
-        fit = GroundFit.of(sensors, rate=recording.rate)
-        found = _MotionRecord(recording, fit, pull, _kinematic(fit, pull, recording.samples), along)
-        return found.solved(gravity_uncertainty)
+        record = MotionRecord.of(corrected(recording), along=along, gravity=gravity)
+        return record.solved(gravity_uncertainty)
 
     def moved(self, changes: Array) -> PlatformMotion:
         """The motion, its specific force at least, if the `unknowns` were off by so much, shape (their number,)."""
@@ -204,18 +200,32 @@ class _Gravity:
 
 def _kinematic(fit: GroundFit, pull: _Gravity, samples: int) -> Array:
     """Readings with gravity put back where the sensor reads specific force, shape (n, m)."""
-    return fit.readings(samples) + _felt(fit, pull.acceleration)
+    return fit.readings(samples) + felt_of(fit, pull.acceleration)
 
 
-def _felt(fit: GroundFit, pull: Array) -> Array:
+def felt_of(fit: GroundFit, pull: Array) -> Array:
     """What the sensors that read specific force lack of a pull of shape (n, 6), shape (n, m)."""
     reading = np.array([sensor.reads_gravity for sensor in fit.sensors], dtype=np.float64)
     return pull @ (fit.rows * IS_FORCE * reading[:, None]).T
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _MotionRecord:
-    """A recording whose platform motion is wanted, with what was found of it so far."""
+class MotionRecord:
+    """A recording whose platform motion is wanted, with what was found of it so far.
+
+    Attributes
+    ----------
+    recording
+        The recording.
+    first
+        Fit of all motions that its sensors tell apart.
+    pull
+        Gravity at its angles.
+    readings
+        Readings of the sensors with gravity put back, shape (n, m).
+    along
+        The one component whose motion is wanted; None for all.
+    """
 
     recording: Recording
     first: GroundFit
@@ -223,8 +233,17 @@ class _MotionRecord:
     readings: Array
     along: str | None
 
+    @classmethod
+    def of(cls, recording: Recording, *, along: str | None, gravity: float) -> MotionRecord:
+        """Take the sensors and angles of a corrected recording; the arguments are those of `PlatformMotion.of`."""
+        sensors = ground_sensors(recording) if along is None else driving_sensors(recording, along)
+        pull = _Gravity.of(recording, gravity)
+        fit = GroundFit.of(sensors, rate=recording.rate)
+        return cls(recording, fit, pull, _kinematic(fit, pull, recording.samples), along)
+
     def solved(self, gravity_uncertainty: float) -> PlatformMotion:
-        fit, known, variance, said = self._at_rest()
+        """The motion; local gravity has this standard uncertainty [m/s^2]."""
+        fit, known, variance, said = self.at_rest()
         found = Turning.of(fit, self.readings, known)
         effects = list(self._effects(found, gravity_uncertainty))
         if len(fit.sensors) > 1:
@@ -241,7 +260,7 @@ class _MotionRecord:
             gravity_on_zero=self.recording.gravity_on_zero.acceleration,
         )
 
-    def _at_rest(self) -> tuple[GroundFit, Array, Array, list[str]]:
+    def at_rest(self) -> tuple[GroundFit, Array, Array, list[str]]:
         """Take motions that show nothing beyond their noise as their tones: the least sure first, then fit again.
 
         The fit of the others, what is taken as known, shape (n, 6), and the variance of its noise, shape (6,).
@@ -314,7 +333,7 @@ class _MotionRecord:
         for index, sensor in enumerate(fit.sensors):
             channel, straight = sensor.channel, sensor.kind == "acceleration"
             if channel.relative_uncertainty:
-                raw = self.readings[:, index] - _felt(fit, self.pull.acceleration)[:, index]
+                raw = self.readings[:, index] - felt_of(fit, self.pull.acceleration)[:, index]
                 yield Effect(GAINS[0 if straight else 1], channel.name, channel.relative_uncertainty, {index: raw})
             if sensor.kind != "rate" and channel.zero_uncertainty:  # a rate's zero has no derivative
                 yield Effect(
@@ -352,7 +371,7 @@ class _MotionRecord:
             yield Effect("gravity", "gravity", gravity_uncertainty, self._felt_by(by), on_zero_by - by)
 
     def _felt_by(self, pull: Array) -> dict[int, Array]:
-        felt = _felt(self.first, pull)
+        felt = felt_of(self.first, pull)
         return {index: felt[:, index] for index, sensor in enumerate(self.first.sensors) if sensor.reads_gravity}
 
     def _unknowns(self, fit: GroundFit, effects: list[Effect], known: Array) -> Iterator[SystematicParameter]:

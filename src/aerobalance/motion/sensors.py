@@ -181,14 +181,28 @@ def _on_clock(recording: Recording, channel: Channel, delay: float) -> tuple[Arr
             f"{channel.name} is ac-coupled: ground motion below its corner of {channel.corner:g} Hz is not in the "
             "channel and stays in the force"
         )
+    placed = [on_clock(column, channel, rate=recording.rate, delay=delay) for column in gaps.T]
+    return on_clock(values, channel, rate=recording.rate, delay=delay), np.column_stack(placed) if placed else gaps
+
+
+def on_clock(series: Array, channel: Channel, *, rate: float, delay: float) -> Array:
+    """What a channel has of a series less its high-pass, as if it had another delay, shape (n,) in its unit.
+
+    Parameters
+    ----------
+    series
+        Readings of the channel, or a change of them, without gaps, shape (n,).
+    channel
+        The channel.
+    rate
+        Sampling rate [Hz].
+    delay
+        The other delay [s].
+    """
+    if channel.coupling == "ac":
+        series = divided(series, high_pass(channel.corner), rate=rate)
     late = channel.delay - delay
-
-    def placed(series: Array) -> Array:
-        if channel.coupling == "ac":
-            series = divided(series, high_pass(channel.corner), rate=recording.rate)
-        return filtered(series, lambda f: np.exp(2j * np.pi * f * late), rate=recording.rate) if late else series
-
-    return placed(values), np.column_stack([placed(column) for column in gaps.T]) if gaps.size else gaps
+    return filtered(series, lambda f: np.exp(2j * np.pi * f * late), rate=rate) if late else series
 
 
 def observable_motions(rows: Array, noise: Array) -> tuple[int, ...]:

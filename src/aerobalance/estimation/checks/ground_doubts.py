@@ -1,0 +1,89 @@
+"""Doubts of the channels of the ground's motion, each with the error that it gives the force."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+
+from aerobalance.estimation.checks.ground_channels import GroundFault
+from aerobalance.estimation.checks.ground_witnesses import SETTINGS
+from aerobalance.estimation.error_sources import Contribution, Systematic
+from aerobalance.estimation.record import Through
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import si_unit
+from aerobalance.recording.doubts import DOUBTED, Doubt
+from aerobalance.recording.errors import argument
+
+ANGLES: Final = ("pitch", "roll")
+"""Channels of the attitude."""
+
+
+def ground_doubts(
+    component: str, faults: Sequence[GroundFault], through: Through, *, errors: Sequence[Contribution]
+) -> Iterator[tuple[Doubt, Systematic]]:
+    """Yield doubts of the channels of the ground's motion, each with the error that the force has from it.
+
+    Parameters
+    ----------
+    component
+        Which force.
+    faults
+        What the loads say of the channels.
+    through
+        What the smoother makes of readings.
+    errors
+        What its uncertainty consists of so far.
+    """
+    uncertainty = float(np.sqrt(np.sum([np.mean(error.deviation**2) for error in errors])))
+    for fault in faults:
+        yield from _doubts(component, fault, through(fault.left), uncertainty=uncertainty)
+
+
+def _doubts(
+    component: str, fault: GroundFault, errors: Array, *, uncertainty: float
+) -> Iterator[tuple[Doubt, Systematic]]:
+    """Doubts of one channel; the errors are those by delay, by gain, and by delay with its drift, (n, 3)."""
+    unit, name = si_unit(component), fault.channel
+    kind = "attitude" if name in ANGLES else "ground"
+    cause = f"or a force that goes with {name}, as that of the flow may"
+    single = len(fault.shown_by) == 1
+    shown = f"{component} shows" if single else "the loads show"
+    effects = np.sqrt(np.mean(errors**2, axis=0))
+    late = abs(fault.delay) > fault.sure * fault.u_delay
+    drifts = abs(fault.drift) > max(fault.sure * fault.u_drift, SETTINGS.clock * abs(fault.delay))
+    by_delay = float(effects[2 if drifts else 0]) if late or drifts else 0.0
+    by_gain = float(effects[1]) if abs(fault.gain) > fault.sure * fault.u_gain else 0.0
+    least = max(SETTINGS.matters * uncertainty, SETTINGS.beside * max(by_delay, by_gain))
+    if by_delay > least:
+        word = "late" if fault.delay > 0 else "early"
+        text = (
+            f"{name} is {1e3 * abs(fault.delay):.3g} ms {word} (u = {1e3 * fault.u_delay:.2g} ms) against what "
+            f"{shown} of it: a filter or a delay that is not declared, {cause}"
+        )
+        taken_off = f"; {argument('align')} takes off what the load shows" if single else ""
+        advice = f"declare the delay or the filter of {name} in the channel map{taken_off}"
+        if drifts:
+            text = (
+                f"the delay of {name} against what {shown} of it changes by {1e3 * fault.drift:.3g} ms "
+                f"along the record (u = {1e3 * fault.u_drift:.2g} ms): their clocks are not one, {cause}"
+            )
+            advice = f"record {name} by the clock of the balance"
+        what = "clock" if drifts and kind == "ground" else "delay"
+        doubt = Doubt(f"{kind} {what}", component, text, advice, float(effects[2 if drifts else 0]), unit)
+        yield doubt, _as_error(doubt, fault, errors[:, 2 if drifts else 0])
+    if by_gain > least:
+        text = (
+            f"{shown} {1 + fault.gain:.4g} times (u = {fault.u_gain:.2g}) what {name} reads: another gain, "
+            f"unit or sign of {name} or another mass than that of the dynamics, {cause}"
+        )
+        advice = f"check sensitivity, unit and sign of {name}, and the mass"
+        doubt = Doubt(f"{kind} gain", component, text, advice, float(effects[1]), unit)
+        yield doubt, _as_error(doubt, fault, errors[:, 1])
+
+
+def _as_error(doubt: Doubt, fault: GroundFault, error: Array) -> Systematic:
+    """The error of a doubt; of one component alone there is one sensor of each kind."""
+    name = f"{DOUBTED}{doubt.kind}" + (f" of {fault.channel}" if len(fault.shown_by) > 1 else "")
+    return Systematic(name, fault.channel, (name,), error[:, None], np.eye(1), local=True)

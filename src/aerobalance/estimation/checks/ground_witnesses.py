@@ -1,0 +1,270 @@
+"""Components whose loads show the ground's motion, and what they feel where one of its channels reads differently."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from aerobalance.estimation.force_smoother import SmootherResult, instant_columns
+from aerobalance.estimation.prior import fit_prior
+from aerobalance.estimation.record import ComponentRecord
+from aerobalance.estimation.statespace.kalman import KalmanFilter
+from aerobalance.motion.changes import MotionChanges
+from aerobalance.motion.platform import SystematicParameter, driven_column
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import kept_warnings
+from aerobalance.recording.noise import channel_noise
+from aerobalance.recording.recording import Recording
+from aerobalance.recording.resampling import fractional_delay, interpolate_gaps_linearly
+
+
+@dataclass(frozen=True, slots=True)
+class GroundChannelSettings:
+    """Thresholds of the comparison of ground channels with the load.
+
+    Attributes
+    ----------
+    sure
+        Standard uncertainties that a delay or a gain has to be off, of one channel: once in 2000 by chance, as often
+        as one of several then.
+    beside
+        Error of the force from a gain over that from a delay, and the other way, from which both are told: the one is
+        else what the other does to second order.
+    clock
+        Change of a delay along the record over the delay, from which it is told: a delay makes less to second order.
+    matters
+        Error of the force from it over the uncertainty of the force (both rms) from which it is told.
+    worth_a_look
+        Chi-square of delay, gain and drift (three degrees of freedom) from which the force's spectrum is learned again
+        without them: once in a hundred by chance.
+    bands, stands_out
+        Bands of a channel's spectrum, and its level over that of its noise from which a band is motion: where the
+        force has no power, a shape is compared with the noise of the load alone, and its own noise counts against it.
+    probe
+        Delay by which slopes are taken [samples], and change of the gain [1].
+    most
+        Delay that an alignment takes off at once [samples].
+    settled
+        What is left of delay and gain over their standard uncertainties, from which on an alignment is at its end.
+    rounds
+        Most times that delay and gain are looked for.
+    reach
+        Largest delay that is tried, over the length of the record.
+    apart, beyond_slopes
+        Part of a period of the motion (its rms frequency), and so many of them from which on slopes do not tell a
+        delay any more.
+    promising, decisive
+        Gain in log-likelihood of a delay of these from which on the force's spectrum is learned again without it, and
+        that it must have then.
+    coherent, part
+        Lines in a band in which the coherence of components is taken as one, at least, and the part of its frequency.
+    least
+        Least level of a combination of components over that of one: where they have nearly all of their noise in
+        common, what is left is less than the shapes are exact by. More noise than there is leaves u no smaller.
+    beyond
+        Samples beyond those that a declared delay leaves out, by which a shape there is not exact yet.
+    """
+
+    sure: float = 3.5
+    beside: float = 0.5
+    clock: float = 0.2
+    matters: float = 0.3
+    worth_a_look: float = 11.3
+    bands: int = 100
+    stands_out: float = 30.0
+    probe: float = 0.02
+    most: float = 64.0
+    settled: float = 0.1
+    rounds: int = 5
+    reach: float = 0.125
+    apart: float = 0.05
+    beyond_slopes: float = 2.0
+    promising: float = 3.0
+    decisive: float = 12.0
+    coherent: int = 64
+    part: int = 10
+    least: float = 0.5
+    beyond: int = 2
+
+
+SETTINGS: Final = GroundChannelSettings()
+"""Thresholds that are used."""
+
+
+SHAPES: Final = 3
+"""Shapes of a channel: its rate, itself, and its rate growing along the record."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Witness:
+    """A component whose load shows the ground's motion.
+
+    Attributes
+    ----------
+    record
+        The component with its record.
+    fit
+        Its force by the smoother.
+    """
+
+    record: ComponentRecord
+    fit: SmootherResult
+
+    @property
+    def known(self) -> Array:
+        """Load felt under constant, steps and hum, shape (n, p)."""
+        return instant_columns(self.fit.reading, self.fit.steps, heights=[step.height for step in self.fit.steps])[0]
+
+    def felt(self, slope: Array) -> Array:
+        """Load felt under a change of the ground's specific force, shapes (n,) and (n,) or (n, 6)."""
+        return self.record.felt_under(SystematicParameter("", "", slope, 0.0))
+
+    def without(self, shapes: Array) -> KalmanFilter:
+        """The filter of the prior that is learned anew, shapes in the readings left out, shape (n, p)."""
+        # what was learned took what is left of the motion for force: with it taken out the force is less
+        reading = self.fit.reading
+        return KalmanFilter.of(
+            reading.system(fit_prior(reading, columns=shapes, before=self.fit.learned)), reading.present
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChannelShapes:
+    """What a channel changes where it is read differently.
+
+    Attributes
+    ----------
+    name
+        The channel.
+    slopes
+        The specific force that a unit of each of its shapes makes, shape (n,) or (n, 6) each.
+    felt
+        The load of each component felt under it, shape (n, p) each [N].
+    """
+
+    name: str
+    slopes: tuple[Array, ...]
+    felt: tuple[Array, ...]
+
+    @property
+    def pace(self) -> float:
+        """Frequency of its motion, rms [Hz times the interval of the samples]."""
+        motion = self.slopes[1].reshape(self.slopes[1].shape[0], -1)
+        own = motion[:, int(np.argmax(np.std(motion, axis=0)))]
+        return float(np.std(np.diff(own))) / (2 * np.pi * float(np.std(own)))
+
+
+@dataclass(frozen=True, eq=False)
+class Witnesses:
+    """Components whose loads are asked together.
+
+    Attributes
+    ----------
+    recording
+        The record with the channels of the ground's motion.
+    all
+        The components: one that is not coupled with others, or all that are.
+    along
+        The one component whose axis alone the motion is described along; None where it is in six.
+    """
+
+    recording: Recording
+    all: tuple[Witness, ...]
+    along: str | None
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Their names."""
+        return tuple(one.record.dynamics.component for one in self.all)
+
+    def unseen(self, component: str) -> int:
+        """Samples at either end that a load and the ground's channels, by their delays, do not both show."""
+        own = self.recording.channel(component).delay
+        late = [abs(own - self.recording.channel(name).delay) for name in self.changes.channels]
+        count = int(max(late, default=0.0) * self.recording.rate)
+        return count + SETTINGS.beyond if count else 0
+
+    @cached_property
+    def changes(self) -> MotionChanges:
+        """What the motion becomes where a channel reads something else."""
+        with kept_warnings():  # they were given when the force was estimated
+            return MotionChanges.of(self.recording, along=self.along)
+
+    def shapes_of(self, name: str) -> ChannelShapes | None:
+        """Its rate and itself, of one channel; None where it does not show the motion."""
+        channel, interval = self.recording.channel(name), 1 / self.recording.rate
+        values = interpolate_gaps_linearly(channel.values)
+        if not np.isfinite(values).all() or float(np.ptp(values)) == 0:
+            return None
+        # noise of the channel is no motion: taken along, it would make every gain and delay too small
+        motion = above_noise(values - values.mean(), noise=channel_noise(channel))
+        late = fractional_delay(motion, delay=SETTINGS.probe * interval, interval=interval) - motion
+        slopes = [
+            self.change(name, change) / size
+            for change, size in ((late, SETTINGS.probe * interval), (SETTINGS.probe * motion, SETTINGS.probe))
+        ]
+        if not all(slope.any() for slope in slopes):
+            return None
+        # what is left in the readings where the channel is so late or reads so much less
+        felt = tuple(np.column_stack([one.felt(slope) for slope in slopes]) for one in self.all)
+        return ChannelShapes(name, tuple(slopes), felt)
+
+    def with_drift(self, shapes: ChannelShapes) -> ChannelShapes:
+        """Shapes of a channel with its rate growing along the record."""
+        rate = shapes.slopes[0]
+        slope = (rate.T * ramp_of(rate.shape[0])).T
+        felt = tuple(np.column_stack([own, one.felt(slope)]) for one, own in zip(self.all, shapes.felt, strict=True))
+        return ChannelShapes(shapes.name, (*shapes.slopes, slope), felt)
+
+    @property
+    def sure(self) -> float:
+        """Standard uncertainties that a delay or a gain of one of the channels has to be off."""
+        return -float(ndtri(ndtr(-SETTINGS.sure) / len(self.changes.channels)))
+
+    def promising(self, pace: float) -> float:
+        """Gain in log-likelihood of a delay from which on a channel is looked at closely; of motion at this pace.
+
+        Of one component a look in vain costs little. Of several every prior is learned again: there the gain is more
+        than the best of so many delays, channels and components brings by chance.
+        """
+        if len(self.all) == 1:
+            return SETTINGS.promising
+        delays = max(4 * SETTINGS.reach * self.recording.samples * pace, 1.0)
+        return SETTINGS.promising + float(np.log(delays * len(self.changes.channels) * len(self.all)))
+
+    def change(self, name: str, by: Array) -> Array:
+        """Change of the specific force where a channel reads more by this, shape (n,), or (n, 6) of coupled ones."""
+        change = self.changes.specific_force(name, by)
+        return change if self.along is None else change[:, driven_column(self.along)]
+
+
+def ramp_of(count: int) -> Array:
+    """Return a line from -1/2 to 1/2 along so many samples [1]."""
+    return np.asarray(np.arange(count) / max(count - 1, 1) - 0.5)
+
+
+def above_noise(values: Array, *, noise: float) -> Array:
+    """Return a channel at the frequencies where it stands out of its white noise, shape (n,), in its unit.
+
+    Parameters
+    ----------
+    values
+        Its readings less their mean, without gaps, shape (n,).
+    noise
+        Standard uncertainty of one of them.
+    """
+    count = values.size
+    line = np.linspace(values[0], values[-1], count)
+    # reflected at points, its rate goes on at the ends: what a bend there does, the load would have to show as well
+    reflected = np.concatenate([values - line, (line - values)[::-1]])
+    lines = np.fft.rfft(reflected)
+    power = np.abs(lines) ** 2 / (2 * count)
+    edges = np.unique(np.round(np.geomspace(1, power.size, SETTINGS.bands)).astype(int))
+    level = np.add.reduceat(power, edges[:-1]) / np.diff(edges)
+    kept = np.zeros(power.size)
+    kept[edges[0] : edges[-1]] = np.repeat(level > SETTINGS.stands_out * noise**2, np.diff(edges))
+    return np.asarray(line + np.fft.irfft(lines * kept, 2 * count)[:count])

@@ -1,0 +1,202 @@
+"""Readings of components that their filters have made white, and how much of known shapes is in all of them at once.
+
+Of several components the coherence of what the filters leave is taken in bands: noise that they have in common is
+told from forces that they have not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import next_fast_len, rfft
+
+from aerobalance.estimation.checks.ground_witnesses import SETTINGS, SHAPES, ChannelShapes, Witnesses, ramp_of
+from aerobalance.estimation.prior import DEPENDENT, whitened
+from aerobalance.estimation.statespace.kalman import KalmanFilter
+from aerobalance.recording.channel import Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solved:
+    """Sizes of shapes by generalised least squares.
+
+    Attributes
+    ----------
+    sizes, covariance
+        How much of each there is, shape (p,), and its covariance, shape (p, p): of a channel less the delay [s], the
+        gain [1], less the change of the delay [s].
+    explained
+        Squares of the white readings that they explain [1].
+    """
+
+    sizes: Array
+    covariance: Array
+    explained: float
+
+    @classmethod
+    def of(cls, gram: Array, moment: Array) -> Solved:
+        """Solve normal equations; of shapes that depend on each other only what they tell together has a size."""
+        scale = np.sqrt(np.diag(gram))
+        scale[scale == 0] = 1.0
+        information, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
+        kept = information > DEPENDENT**2 * information[-1]
+        spread = vectors[:, kept] / np.sqrt(information[kept]) / scale[:, None]
+        sizes = spread @ (spread.T @ moment)
+        return cls(sizes, spread @ spread.T, float(moment @ sizes))
+
+    def of_channel(self, place: int) -> Solved:
+        """Those of one channel, of which this is the place among them."""
+        own = slice(SHAPES * place, SHAPES * (place + 1))
+        return replace(self, sizes=self.sizes[own], covariance=self.covariance[own, own])
+
+    @property
+    def u(self) -> Array:
+        """Standard uncertainty of each, shape (p,)."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def clear(self, sure: float) -> bool:
+        """Whether one of them is more standard uncertainties than chance makes."""
+        return bool((np.abs(self.sizes) > sure * self.u).any())
+
+
+Lines = NDArray[np.complex128]
+"""Spectral lines of white series of all components, shape (m, c) or (m, c, p) [1]."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class White:
+    """Readings of components that filters have made white, constants, steps and hum taken out.
+
+    Attributes
+    ----------
+    filters
+        The filter of each.
+    bases
+        Orthonormal shapes that are taken out, shape (n, p) each.
+    unseen
+        Samples of each at either end that count for nothing.
+    shown
+        Lines of what is left of the readings, shape (m, c) [1].
+    weights
+        Inverse of the coherence of that at these frequencies, shape (m, c, c) [1]: components have the noise of
+        readings in common, which is little where there is a force.
+    """
+
+    filters: tuple[KalmanFilter, ...]
+    bases: tuple[Array, ...]
+    unseen: tuple[int, ...]
+    shown: Lines
+    weights: Lines
+
+    @classmethod
+    def of(cls, asked: Witnesses, filters: Sequence[KalmanFilter], *, without: Sequence[ChannelShapes] = ()) -> White:
+        """Take the readings; the shapes of some channels count for nothing in what they have in common."""
+        bases, shown = [], []
+        unseen = tuple(asked.unseen(one) for one in asked.components)
+        for one, filter_, ends in zip(asked.all, filters, unseen, strict=True):
+            series = _inside(whitened(filter_, one.fit.reading.filled, one.known), ends)
+            bases.append(_orthonormal(series[:, 1:]))
+            shown.append(_less(series[:, 0], bases[-1]))
+        lines = lines_of(np.column_stack(shown))
+        weights = np.broadcast_to(np.eye(len(shown), dtype=np.complex128), (*lines.shape, len(shown)))
+        plain = cls(tuple(filters), tuple(bases), unseen, lines, weights)
+        if len(shown) == 1:
+            return plain
+        if without:
+            felt = [np.column_stack([one.felt[place] for one in without]) for place in range(len(shown))]
+            left = [
+                _less(one, _orthonormal(plain.placed(own, place)))
+                for place, (one, own) in enumerate(zip(shown, felt, strict=True))
+            ]
+            lines = lines_of(np.column_stack(left))
+        return replace(plain, weights=_weights(lines, samples=shown[0].size))
+
+    def columns(self, felt: Sequence[Array]) -> Lines:
+        """Lines of loads felt by each component, shape (n, p) each, in its white readings, shape (m, c, p)."""
+        return np.stack([lines_of(self.placed(own, place)) for place, own in enumerate(felt)], axis=1)
+
+    def with_drift(self, felt: Sequence[Array]) -> Lines:
+        """The same with the first shape growing along the record: white readings remember but a part of it."""
+        placed = [self.placed(own, place) for place, own in enumerate(felt)]
+        ramp = ramp_of(felt[0].shape[0])
+        return np.stack([lines_of(np.column_stack([own, ramp * own[:, 0]])) for own in placed], axis=1)
+
+    def placed(self, felt: Array, place: int) -> Array:
+        """Loads of one component in its white readings, shape (n, p) [1 per unit]."""
+        if not felt.any():
+            return felt
+        return _less(_inside(self.filters[place].whiten(felt), self.unseen[place]), self.bases[place])
+
+    def solved(self, columns: Lines, shown: Lines | None = None) -> Solved:
+        """Sizes of shapes in the readings, or in others."""
+        weighted = np.matmul(self.weights, columns)
+        return Solved.of(_sum(columns, weighted), _sum(weighted, self.shown if shown is None else shown))
+
+    def squares(self, shown: Lines) -> float:
+        """Sum of the squares of readings, shape (m, c), less what they have in common."""
+        return float(_sum(shown[..., None], np.matmul(self.weights, shown[..., None]))[0, 0])
+
+
+def _inside(series: Array, ends: int) -> Array:
+    """White series, zero for so many samples at either end, of their shape."""
+    if ends:
+        series[:ends] = series[-ends:] = 0.0
+    return series
+
+
+def length_of(count: int) -> int:
+    """Samples of a series of so many with as many zeros behind it as a delay may have, an even number."""
+    return 2 * int(next_fast_len(-(-int(count * (1 + SETTINGS.reach)) // 2), real=True))
+
+
+def lines_of(series: Array) -> Lines:
+    """Return the lines of white series, shapes (n, p) and (m, p) [1]."""
+    length = length_of(series.shape[0])
+    found: Lines = np.asarray(rfft(series, length, axis=0) * np.sqrt(2.0 / length), dtype=np.complex128)
+    found[[0, -1]] *= np.sqrt(0.5)  # all others stand for the frequency below zero as well
+    return found
+
+
+def _sum(ones: Lines, others: Lines) -> Array:
+    """Products of series summed over all components and samples, shapes (m, c, p) and (m, c, q) or (m, c)."""
+    flat = ones.reshape(-1, ones.shape[-1])
+    return np.asarray(np.real(flat.conj().T @ others.reshape(len(flat), *others.shape[2:])), dtype=np.float64)
+
+
+def _weights(lines: Lines, *, samples: int) -> Lines:
+    """Inverse of the coherence of white series of so many samples, in bands of their frequencies, shape (m, c, c)."""
+    count, size = lines.shape
+    power = np.einsum("mi,mj->mij", lines, lines.conj())
+    weights = np.empty_like(power)
+    edges = [0]
+    while edges[-1] < count:
+        wide = max(SETTINGS.coherent, edges[-1] // SETTINGS.part)
+        edges.append(count if edges[-1] + 2 * wide > count else edges[-1] + wide)
+    for first, last in pairwise(edges):
+        whole = power[first:last].sum(axis=0)
+        scale = np.maximum(np.sqrt(np.real(np.diag(whole))), 1e-300)
+        level, turned = np.linalg.eigh(whole / np.outer(scale, scale))
+        # of so many independent lines the inverse is too large by this part; that of one series is one
+        bias = 1 - (size - 1) * length_of(samples) / ((last - first) * samples)
+        weights[first:last] = bias * (turned / np.maximum(level, SETTINGS.least)) @ turned.conj().T
+    return np.asarray(weights, dtype=np.complex128)
+
+
+def _orthonormal(columns: Array) -> Array:
+    """Columns that span the same, shape (n, up to p)."""
+    scale = np.sqrt(np.einsum("np,np->p", columns, columns))
+    scale[scale == 0] = 1.0
+    information, vectors = np.linalg.eigh(columns.T @ columns / np.outer(scale, scale))
+    kept = information > DEPENDENT**2 * information[-1]
+    return np.asarray(columns @ (vectors[:, kept] / np.sqrt(information[kept]) / scale[:, None]))
+
+
+def _less(series: Array, basis: Array) -> Array:
+    """Series less what a basis explains of them, of their shape; twice, as the basis is orthonormal to rounding."""
+    for _ in range(2):
+        series = series - basis @ (basis.T @ series)
+    return series

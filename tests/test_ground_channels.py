@@ -1,0 +1,141 @@
+"""Channels of the ground's motion that are late or read too much, told by the loads of coupled components."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+
+from aerobalance.estimation.applied_force import Force
+from aerobalance.estimation.checks.ground_channels import ground_faults
+from aerobalance.estimation.checks.ground_witnesses import Witness, Witnesses
+from aerobalance.estimation.checks.white_readings import White
+from aerobalance.estimation.component_force import Fitted
+from aerobalance.estimation.coupled_record import CoupledRecord
+from aerobalance.recording.doubts import Doubt, Verdict
+from aerobalance.recording.resampling import interpolate_gaps
+from aerobalance.simulation import Sensor
+from helpers.shaken_six import shaken
+from seeds import trials
+
+SOUND = {
+    "accelerometers and turns": {},
+    "faint motion": {"motion": 1.0, "load": 0.02},
+    "rates of turn": {"turning": "rate"},
+    "pitching": {
+        "pitch": lambda time: 0.1 + 0.02 * np.sin(2 * np.pi * 1.3 * time),
+        "roll": lambda time: 0.02 * np.sin(2 * np.pi * 0.9 * time + 1) - 0.2,
+    },
+}
+
+
+def about_ground(force: Force) -> list[Doubt]:
+    return [doubt for doubt in force.doubts if doubt.kind.startswith(("ground", "attitude"))]
+
+
+def told(doubt: Doubt) -> tuple[float, float]:
+    """Delay [ms] or gain that a doubt tells, and its standard uncertainty."""
+    text = doubt.text
+    u = float(text.split("(u = ")[1].split(")")[0].split(" ms")[0])
+    if "delay" in doubt.kind:
+        return float(text.split(" is ")[1].split(" ms ")[0]) * (1 if " late " in text else -1), u
+    return float(text.split("the loads show ")[1].split(" times")[0]), u
+
+
+@pytest.mark.parametrize("name", SOUND)
+@pytest.mark.soak(first=5)
+def test_sound_channels_are_not_doubted(name, seed):
+    doubted = []
+    for one in range(trials(2, 24)):
+        force = shaken(np.random.default_rng([seed, one]), **SOUND[name]).used.force
+        doubted += [force.doubts] if force.doubts else []
+    # eight channels of three numbers, each beyond its limit once in 700 records of all eight by chance
+    assert len(doubted) <= 1, doubted
+
+
+FAULTS = [
+    ("ground_acceleration_z", "late", 5e-3),
+    ("ground_acceleration", "gain", -1.0),
+    ("ground_acceleration_y", "gain", 0.7),
+    ("ground_turn_PM", "late", 5e-3),
+    ("ground_turn_YM", "gain", -1.0),
+]
+
+
+@pytest.mark.parametrize(("channel", "fault", "size"), FAULTS)
+@pytest.mark.soak(first=5)
+def test_a_fault_of_one_channel_is_named_and_counted(channel, fault, size, rng):
+    made = shaken(rng)
+    record = (made.with_late(channel, size) if fault == "late" else made.with_gain(channel, size)).used
+    force = record.force
+    doubts = about_ground(force)
+    assert doubts
+    kind, expected = ("ground delay", 1e3 * size) if fault == "late" else ("ground gain", 1 / size)
+    for doubt in doubts:
+        assert doubt.kind == kind
+        assert f" {channel} " in f" {doubt.text} "
+        value, u = told(doubt)
+        # a delay is told to first order of its phase, and 5 ms are half a radian at 16 Hz
+        assert value == pytest.approx(expected, abs=5 * u + 0.15 * abs(expected))
+    assert force.verdict is not Verdict.FIT
+    # the error is one number times a known shape, which is known to 5 u at least: a fifth of it
+    assert max(record.ratios(force).values()) < 1.5
+
+
+def test_a_gain_of_nine_tenths_is_found(seed):
+    """It is told to some percent, so that the limit of four standard uncertainties is passed more often than not."""
+    named, count = 0, trials(3, 12)
+    for one in range(count):
+        record = shaken(np.random.default_rng([seed, one]), load=0.003).with_gain("ground_acceleration_z", 0.9).used
+        force = record.force
+        doubts = about_ground(force)
+        assert all("ground_acceleration_z" in doubt.text for doubt in doubts)
+        named += bool(doubts)
+        assert max(record.ratios(force).values()) < 1.5 or not doubts
+    assert named > count / 2
+
+
+def test_of_motions_that_go_together_the_channel_at_fault_is_named(rng):
+    """All accelerations are shares of one: by one load alone, any of them could be late."""
+    record = shaken(rng, together=True).with_gain("ground_acceleration_z", -1.0).used
+    force = record.force
+    assert {doubt.text.split("what ")[1].split()[0] for doubt in about_ground(force)} == {"ground_acceleration_z"}
+
+
+LATE = 2e-3
+
+
+def test_a_delay_of_all_channels_is_told_of_all_unless_it_is_declared(rng):
+    record = shaken(rng, ground_sensor=Sensor(delay=LATE)).used
+    told_of = {doubt.text.split(" is ")[0]: told(doubt) for doubt in about_ground(record.force)}
+    # a channel whose motion the loads hardly show may be told by none
+    assert set(told_of) >= {"ground_acceleration_z", "ground_acceleration_y", "ground_acceleration"}
+    for name, (value, u) in told_of.items():
+        assert value == pytest.approx(1e3 * LATE, abs=5 * u + 0.1), name
+    assert about_ground(record.declared(LATE).force) == []
+
+
+def fitted(record: CoupledRecord) -> Sequence[Witness]:
+    fits = [Fitted.of(one, hum="keep") for one in record.component_records(interpolate_gaps(record.loads)).values()]
+    return [Witness(fit.record, fit.smoothed) for fit in fits]
+
+
+def test_sizes_scatter_as_they_are_said_to(seed):
+    """Chi-square of the three numbers of a channel, 3 on average, or less where noise in common is not used."""
+    found = []
+    for one in range(trials(3, 12)):
+        made = shaken(np.random.default_rng([seed, one]), motion=1.0, load=0.02).used
+        record = CoupledRecord.of(made.recording, made.dynamics)
+        asked = Witnesses(record.recording, tuple(fitted(record)), None)
+        white = White.of(asked, [witness.fit.filter for witness in asked.all])
+        for name in asked.changes.channels:
+            shapes = asked.shapes_of(name)
+            assert shapes is not None
+            found.append(white.solved(white.with_drift(shapes.felt)).explained)
+            exact = white.solved(white.columns(asked.with_drift(shapes).felt)).explained
+            assert found[-1] == pytest.approx(exact, rel=0.05, abs=0.05)  # a look decides whether it is worked out
+        assert ground_faults(asked) == {}
+    # chi-squares of one record are independent of each other but for what the channels have in common
+    assert np.mean(found) < 3 + 5 * np.sqrt(6 / len(found))
+    assert np.mean(found) > 1
