@@ -184,8 +184,7 @@ class _Component:
     def limited(self, recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
         """The inverse by the matrices limited to a band, customarily twice the highest natural frequency."""
         customary = 2 * max(mode.natural_frequency for mode in self.record.dynamics.modes)
-        wanted = customary if settings.tuning is None else settings.tuning
-        bandwidth = min(wanted, 0.49 * recording.rate)
+        bandwidth = corner_frequency(recording, settings, customary)
         ready = self.record.component_record(self.name, self.filled)
         ready = replace(ready, recording=without_gaps(ready.recording, self.name))
         found = band_limited(ready, bandwidth)

@@ -75,10 +75,12 @@ def ground_faults(asked: Witnesses) -> dict[str, list[GroundFault]]:
         shapes = asked.shapes_of(name)
         if shapes is None:
             continue
-        columns = white.columns(shapes.felt)
+        columns = white.with_drift(shapes.felt)
         if white.solved(columns).explained > SETTINGS.worth_a_look:
-            suspects.append(shapes)
+            suspects.append(asked.with_drift(shapes))
         hint = Far.of(white, columns[..., 1], samples=asked.recording.samples, pace=shapes.pace)
+        if hint is not None and hint.gained < asked.promising(shapes.pace):
+            hint = None
         if hint is not None:
             lateness.append((hint, shapes))
     if lateness:
@@ -148,6 +150,7 @@ def measured(asked: Witnesses, name: str) -> tuple[ChannelShapes, Solved] | None
     shapes = asked.shapes_of(name)
     if shapes is None:
         return None
+    shapes = asked.with_drift(shapes)
     white = White.of(asked, [one.fit.filter for one in asked.all])
     found = white.solved(white.columns(shapes.felt))
     if found.explained > SETTINGS.worth_a_look:
@@ -192,9 +195,7 @@ class Far(NamedTuple):
         both = irfft(lines, length_of(samples)) * length_of(samples) / 2
         told = np.concatenate([both[-most:], both[: most + 1]]) ** 2 / white.squares(motion)
         best, gained = int(np.argmax(told)) - most, float(np.max(told) - told[most]) / 2
-        if abs(best) * pace <= SETTINGS.beyond_slopes * SETTINGS.apart or gained < SETTINGS.promising:
-            return None
-        return cls(best, gained)
+        return None if abs(best) * pace <= SETTINGS.beyond_slopes * SETTINGS.apart else cls(best, gained)
 
 
 def _far(asked: Witnesses, shapes: ChannelShapes, *, samples: int) -> dict[str, list[GroundFault]] | None:

@@ -143,7 +143,7 @@ class ChannelShapes:
     slopes
         The specific force that a unit of each of its shapes makes, shape (n,) or (n, 6) each.
     felt
-        The load of each component felt under it, shape (n, 3) each [N].
+        The load of each component felt under it, shape (n, p) each [N].
     """
 
     name: str
@@ -195,7 +195,7 @@ class Witnesses:
             return MotionChanges.of(self.recording, along=self.along)
 
     def shapes_of(self, name: str) -> ChannelShapes | None:
-        """Shapes of one channel; None where it does not show the motion."""
+        """Its rate and itself, of one channel; None where it does not show the motion."""
         channel, interval = self.recording.channel(name), 1 / self.recording.rate
         values = interpolate_gaps_linearly(channel.values)
         if not np.isfinite(values).all() or float(np.ptp(values)) == 0:
@@ -209,21 +209,42 @@ class Witnesses:
         ]
         if not all(slope.any() for slope in slopes):
             return None
-        ramp = np.arange(values.size) / max(values.size - 1, 1) - 0.5
-        slopes.append((slopes[0].T * ramp).T)
         # what is left in the readings where the channel is so late or reads so much less
         felt = tuple(np.column_stack([one.felt(slope) for slope in slopes]) for one in self.all)
         return ChannelShapes(name, tuple(slopes), felt)
+
+    def with_drift(self, shapes: ChannelShapes) -> ChannelShapes:
+        """Shapes of a channel with its rate growing along the record."""
+        rate = shapes.slopes[0]
+        slope = (rate.T * ramp_of(rate.shape[0])).T
+        felt = tuple(np.column_stack([own, one.felt(slope)]) for one, own in zip(self.all, shapes.felt, strict=True))
+        return ChannelShapes(shapes.name, (*shapes.slopes, slope), felt)
 
     @property
     def sure(self) -> float:
         """Standard uncertainties that a delay or a gain of one of the channels has to be off."""
         return -float(ndtri(ndtr(-SETTINGS.sure) / len(self.changes.channels)))
 
+    def promising(self, pace: float) -> float:
+        """Gain in log-likelihood of a delay from which on a channel is looked at closely; of motion at this pace.
+
+        Of one component a look in vain costs little. Of several every prior is learned again: there the gain is more
+        than the best of so many delays, channels and components brings by chance.
+        """
+        if len(self.all) == 1:
+            return SETTINGS.promising
+        delays = max(4 * SETTINGS.reach * self.recording.samples * pace, 1.0)
+        return SETTINGS.promising + float(np.log(delays * len(self.changes.channels) * len(self.all)))
+
     def change(self, name: str, by: Array) -> Array:
         """Change of the specific force where a channel reads more by this, shape (n,), or (n, 6) of coupled ones."""
         change = self.changes.specific_force(name, by)
         return change if self.along is None else change[:, driven_column(self.along)]
+
+
+def ramp_of(count: int) -> Array:
+    """Return a line from -1/2 to 1/2 along so many samples [1]."""
+    return np.asarray(np.arange(count) / max(count - 1, 1) - 0.5)
 
 
 def above_noise(values: Array, *, noise: float) -> Array:

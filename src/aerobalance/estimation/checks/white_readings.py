@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 
-from aerobalance.estimation.checks.ground_witnesses import SETTINGS, SHAPES, ChannelShapes, Witnesses
+from aerobalance.estimation.checks.ground_witnesses import SETTINGS, SHAPES, ChannelShapes, Witnesses, ramp_of
 from aerobalance.estimation.prior import DEPENDENT, whitened
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.recording.channel import Array
@@ -118,6 +118,12 @@ class White:
     def columns(self, felt: Sequence[Array]) -> Lines:
         """Lines of loads felt by each component, shape (n, p) each, in its white readings, shape (m, c, p)."""
         return np.stack([lines_of(self.placed(own, place)) for place, own in enumerate(felt)], axis=1)
+
+    def with_drift(self, felt: Sequence[Array]) -> Lines:
+        """The same with the first shape growing along the record: white readings remember but a part of it."""
+        placed = [self.placed(own, place) for place, own in enumerate(felt)]
+        ramp = ramp_of(felt[0].shape[0])
+        return np.stack([lines_of(np.column_stack([own, ramp * own[:, 0]])) for own in placed], axis=1)
 
     def placed(self, felt: Array, place: int) -> Array:
         """Loads of one component in its white readings, shape (n, p) [1 per unit]."""
