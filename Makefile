@@ -65,8 +65,9 @@ faults: $(TEST_READY)
 	cd tests && OMP_NUM_THREADS=1 ../$(BIN)/python -m faults.trials --seeds $(or $(SEEDS),2) --out ../build/faults.json
 	$(BIN)/python docs/faults.py
 
-docs: $(DOCS_READY)
-	$(BIN)/sphinx-build -W --keep-going -b html docs build/docs
+# The examples are run for their pages, with a loop compiled for none of them.
+docs: $(DOCS_READY) $(COMPILED)
+	OMP_NUM_THREADS=1 $(BIN)/sphinx-build -W --keep-going -b html docs build/docs
 
 # Pins by what they are for, each with all that it needs and with hashes, and all of one resolution; this needs uv.
 # Versions stay where they can; `make pins UPGRADE=--upgrade` takes the newest.
@@ -83,7 +84,7 @@ pins:
 	$(HASHED) --group build -o requirements/build.txt
 
 clean:
-	rm -rf $(VENV) build
+	rm -rf $(VENV) build docs/examples
 
 $(READY): requirements/runtime.txt requirements/build.txt pyproject.toml
 	$(PYTHON) -m venv $(VENV)

@@ -10,7 +10,14 @@ sys.path.insert(0, str(Path(__file__).parent))
 project = "aerobalance"
 author = "the aerobalance developers"
 copyright = "2026, the aerobalance developers"  # noqa: A001 - the name that Sphinx reads
-extensions = ["myst_parser", "mathml", "commandline", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+extensions = [
+    "myst_parser",
+    "mathml",
+    "commandline",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx_gallery.gen_gallery",
+]
 exclude_patterns = ["_static"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
@@ -20,6 +27,22 @@ html_title = "aerobalance"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_theme_options = {"navigation_with_keys": True}
+
+# every script of examples/ is run, and becomes a page of its own
+sphinx_gallery_conf = {
+    "examples_dirs": ["../examples"],
+    "gallery_dirs": ["examples"],
+    "filename_pattern": r"\.py",
+    "reset_modules": ("matplotlib", "gallery.doubts_are_errors"),
+    "run_stale_examples": True,  # the library may have changed
+    "capture_repr": (),
+    "thumbnail_size": (700, 450),
+    "min_reported_time": 1e9,  # seconds of a machine that nobody knows
+    "notebook_extensions": set(),
+    "download_all_examples": False,
+    "show_signature": False,
+    "write_computation_times": False,
+}
 
 # single backticks in docstrings are names of the library
 default_role = "py:obj"
