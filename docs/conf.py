@@ -14,11 +14,13 @@ extensions = [
     "myst_parser",
     "mathml",
     "commandline",
+    "other_projects",
     "sphinx.ext.autodoc",
+    "sphinx.ext.intersphinx",
     "sphinx.ext.napoleon",
     "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_static"]
+exclude_patterns = ["_static", "inventories"]
 myst_enable_extensions = ["dollarmath"]
 myst_heading_anchors = 3
 html_math_renderer = "mathml"
@@ -27,6 +29,17 @@ html_title = "aerobalance"
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
 html_theme_options = {"navigation_with_keys": True}
+
+# where their lists of names cannot be asked for, those names that these pages use are kept here
+OTHERS = {
+    "numpy": "https://numpy.org/doc/stable/",
+    "scipy": "https://docs.scipy.org/doc/scipy/",
+    "pandas": "https://pandas.pydata.org/docs/",
+    "xarray": "https://docs.xarray.dev/en/stable/",
+}
+intersphinx_mapping = {name: (address, (None, f"inventories/{name}.txt")) for name, address in OTHERS.items()}
+intersphinx_timeout = 5
+intersphinx_disabled_reftypes = ["std:*"]  # words in backticks are names, and no headings of theirs
 
 # every script of examples/ is run, and becomes a page of its own
 sphinx_gallery_conf = {
