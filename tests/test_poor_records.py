@@ -24,6 +24,7 @@ from aerobalance.simulation import CableCut, Sensor
 from aerobalance.simulation.calibration_stand import random_balance
 from helpers.cable_cut import T128
 from helpers.hammer import MASS, POINTS, one_tapped
+from seeds import trials
 
 GROUND = ("ground_acceleration", "ground_acceleration_y", "ground_acceleration_z")
 
@@ -107,6 +108,9 @@ def test_a_hammer_with_too_few_readings(rng):
 
 
 def test_a_release_that_never_came(rng):
-    still = Recording.from_arrays(np.arange(3000) / 1600, {"AF": rng.normal(0, 2.0, 3000)}, name="still")
-    with pytest.raises(FitError, match="still"):
-        ab.identify(still, mass=(T128.mass, 0.05))
+    """Whatever noise looks like: of 40 records one was too short a ringing for its band, and one for a single mean."""
+    for _ in range(trials(40, 200)):
+        values = rng.normal(0, 2.0, 3000)
+        still = Recording.from_arrays(np.arange(3000) / 1600, {"AF": values}, name="still")
+        with pytest.raises(FitError, match="still"):
+            ab.identify(still, mass=(T128.mass, 0.05))
