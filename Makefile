@@ -1,4 +1,4 @@
-# make demo | test | soak | check | bench | faults | coverage | docs | pins | clean: each sets up .venv first,
+# make demo | test | soak | check | bench | faults | coverage | mutants | docs | pins | clean: each sets up .venv first,
 # when needed.
 # Random numbers of tests are the same at every `make test`. `make soak` runs the tests with new ones, ROUNDS times;
 # `make test SEED=123` runs them with the seed of a round that failed.
@@ -20,7 +20,7 @@ ROUNDS ?= 3
 BENCH := OMP_NUM_THREADS=1 $(BIN)/python -m pytest tests/benchmarks -o addopts="" --benchmark-disable -q
 TEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
-.PHONY: demo test soak check types lint bench faults coverage docs pins clean prepared
+.PHONY: demo test soak check types lint bench faults coverage mutants docs pins clean prepared
 
 demo: $(COMPILED)
 	$(BIN)/aerobalance demo --out build/demo
@@ -74,6 +74,10 @@ coverage: $(TEST_READY) $(COMPILED)
 	  --ignore=tests/browser --ignore=tests/io/test_hdf5_disk.py
 	$(BIN)/python -m coverage combine --quiet
 	$(BIN)/python -m coverage report --skip-covered --sort=cover
+
+# COUNT faults put into the core one at a time, drawn by SEED: whether its tests notice.
+mutants: $(TEST_READY) $(COMPILED)
+	OMP_NUM_THREADS=1 $(BIN)/python tests/mutants.py --count $(or $(COUNT),150) --seed $(or $(SEED),1)
 
 # The examples are run for their pages, with a loop compiled for none of them.
 docs: $(DOCS_READY) $(COMPILED)
