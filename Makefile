@@ -1,4 +1,5 @@
-# make demo | test | soak | check | bench | faults | docs | pins | clean: each sets up .venv first, when needed.
+# make demo | test | soak | check | bench | faults | coverage | mutants | docs | pins | clean: each sets up .venv first,
+# when needed.
 # Random numbers of tests are the same at every `make test`. `make soak` runs the tests with new ones, ROUNDS times;
 # `make test SEED=123` runs them with the seed of a round that failed.
 PYTHON ?= python3
@@ -19,7 +20,7 @@ ROUNDS ?= 3
 BENCH := OMP_NUM_THREADS=1 $(BIN)/python -m pytest tests/benchmarks -o addopts="" --benchmark-disable -q
 TEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
 
-.PHONY: demo test soak check types lint bench faults docs pins clean prepared
+.PHONY: demo test soak check types lint bench faults coverage mutants docs pins clean prepared
 
 demo: $(COMPILED)
 	$(BIN)/aerobalance demo --out build/demo
@@ -65,8 +66,22 @@ faults: $(TEST_READY)
 	cd tests && OMP_NUM_THREADS=1 ../$(BIN)/python -m faults.trials --seeds $(or $(SEEDS),2) --out ../build/faults.json
 	$(BIN)/python docs/faults.py
 
-docs: $(DOCS_READY)
-	$(BIN)/sphinx-build -W --keep-going -b html docs build/docs
+# Which lines and branches of the core the tests run; those of readers and recorders, and tests that leave no room for a
+# file, are left out.
+coverage: $(TEST_READY) $(COMPILED)
+	rm -f build/coverage*
+	OMP_NUM_THREADS=1 $(BIN)/python -m coverage run -m pytest -n auto --dist worksteal --ignore=tests/acquire \
+	  --ignore=tests/browser --ignore=tests/io/test_hdf5_disk.py
+	$(BIN)/python -m coverage combine --quiet
+	$(BIN)/python -m coverage report --skip-covered --sort=cover
+
+# COUNT faults put into the core one at a time, drawn by SEED: whether its tests notice.
+mutants: $(TEST_READY) $(COMPILED)
+	OMP_NUM_THREADS=1 $(BIN)/python tests/mutants.py --count $(or $(COUNT),150) --seed $(or $(SEED),1)
+
+# The examples are run for their pages, with a loop compiled for none of them.
+docs: $(DOCS_READY) $(COMPILED)
+	OMP_NUM_THREADS=1 $(BIN)/sphinx-build -W --keep-going -b html docs build/docs
 
 # Pins by what they are for, each with all that it needs and with hashes, and all of one resolution; this needs uv.
 # Versions stay where they can; `make pins UPGRADE=--upgrade` takes the newest.
@@ -83,7 +98,7 @@ pins:
 	$(HASHED) --group build -o requirements/build.txt
 
 clean:
-	rm -rf $(VENV) build
+	rm -rf $(VENV) build docs/examples
 
 $(READY): requirements/runtime.txt requirements/build.txt pyproject.toml
 	$(PYTHON) -m venv $(VENV)

@@ -7,9 +7,11 @@ import pytest
 
 from aerobalance.estimation.component_force import noise_of_component
 from aerobalance.estimation.force import estimate_force, force_record
+from aerobalance.estimation.force_smoother import SAME_LINE, SAME_NOISE, _differ
 from aerobalance.estimation.live.live_force import LiveForce
+from aerobalance.estimation.prior import Observation
 from aerobalance.estimation.spectra.noise_floor import lasts
-from aerobalance.estimation.spectra.noise_spectrum import Hump, NoiseSpectrum
+from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, Hump, NoiseSpectrum
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
@@ -176,3 +178,22 @@ def test_live_estimator_refuses_color(rng):
     ).only
     with pytest.raises(ValueError, match="takes the noise of a reading as white"):
         LiveForce(T128, rate=RATE, learned={"AF": found.learned})
+
+
+def test_steps_are_looked_for_again_where_hum_or_noise_have_become_others():
+    """SAME_LINE and SAME_NOISE say what is the same: a part of what the record resolves, and of a density."""
+    colored = ColoredNoise(np.array([30.0]), np.array([16.0]), (), 1 / RATE)
+    first = Observation(np.zeros(1000), 1 / RATE, T128, noise=2.0, color=colored, hum=(50.0,))
+    assert not _differ(first, first)
+    resolved = RATE / 1000
+    assert _differ(first, replace(first, hum=(50.0, 100.0)))
+    assert _differ(first, replace(first, hum=(50.0 + 1.01 * SAME_LINE * resolved,)))
+    assert not _differ(first, replace(first, hum=(50.0 + 0.99 * SAME_LINE * resolved,)))
+    assert _differ(first, replace(first, rising=True))
+    assert _differ(first, replace(first, color=None))
+    # white and colored noise in one ratio: the density is in the same one everywhere
+    grown = np.exp(SAME_NOISE)
+    for share, differs in ((0.99, False), (1.01, True), (-0.99, False), (-1.01, True)):
+        ratio = grown**share
+        other = ColoredNoise(np.array([30.0]), np.array([16.0 * ratio]), (), 1 / RATE)
+        assert _differ(first, replace(first, color=other, noise=2.0 * np.sqrt(ratio))) == differs

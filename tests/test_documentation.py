@@ -139,6 +139,20 @@ def test_figures_of_peers_in_the_paper_are_those_of_the_documentation():
     assert len(cells("paper/paper.md")) == 2
 
 
+INVENTORIES = sorted((ROOT / "docs/inventories").glob("*.txt"))
+
+
+@pytest.mark.parametrize("inventory", INVENTORIES, ids=lambda path: path.stem)
+def test_names_of_other_projects_that_are_kept_for_a_build_without_network_exist(inventory):
+    header, rows = (inventory.read_text(encoding="utf-8").splitlines()[part] for part in (slice(3), slice(3, None)))
+    assert header[0] == "# Sphinx inventory version 1"
+    assert rows
+    for name, _, page in (row.split() for row in rows):
+        assert name.startswith(f"{inventory.stem}.")
+        assert at(name) is not None, name
+        assert page.endswith(".html")
+
+
 def test_the_version_to_cite_is_the_present_one():
     assert f"\nversion: {ab.__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
 

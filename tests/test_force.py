@@ -156,6 +156,21 @@ def test_noise_gain_of_central_differences(rng):
     assert rms(estimate.uncertainty[1:-1]) == pytest.approx(2 * estimate.noise_gain, rel=1e-9)
 
 
+def test_the_ends_of_central_differences_miss_the_acceleration_and_say_so():
+    """Of a load with the second derivative c the term A c is missing there, and D c h / 2, a 700th of it, too."""
+    change, t = 3e5, np.arange(800) / RATE  # N/s^2
+    load = change * t**2 / 2 + 200 * t
+    damping, inertia = T128.quadratic
+    truth = load + damping * (change * t + 200) + inertia * change
+    still = force_record(record(AF=(load, {"noise": 1e-4})), T128)
+    estimate = central_differences(still.component_record("AF"))
+    error = estimate.values - truth
+    assert error[[0, -1]] == pytest.approx(-inertia * change, rel=0.002)
+    assert np.abs(error[1:-1]).max() < 1e-6 * inertia * change
+    # the noise of a reading becomes 35 times as much, which is 0.2 % of it
+    assert estimate.uncertainty[[0, -1]] == pytest.approx(inertia * change, rel=0.003)
+
+
 def test_band_limited_inverse_is_exact_on_a_sine_in_band():
     frequency, level = 80.0, 250.0
     t = np.arange(6400) / RATE

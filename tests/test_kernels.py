@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dis
 import importlib
+import itertools
 import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -18,6 +19,7 @@ from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.live import _live_kernels
 from aerobalance.estimation.live.filter import KnownShape, LiveFilter
+from aerobalance.estimation.spectra import _kernels as spectral_kernels
 from aerobalance.estimation.statespace import _kernels, blocks, kalman, model_draws
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, LOAD_RATE, KalmanFilter, StateSpace
 from aerobalance.estimation.statespace.model_draws import ModelDraws
@@ -31,9 +33,9 @@ ROUNDING = np.finfo(np.float64).eps
 
 
 @pytest.fixture(scope="module")
-def plain() -> Iterator[tuple[ModuleType, ModuleType]]:
-    """The two modules of kernels as they are without compilation."""
-    names = (_kernels.__name__, _live_kernels.__name__)
+def plain() -> Iterator[tuple[ModuleType, ModuleType, ModuleType]]:
+    """The three modules of kernels as they are without compilation."""
+    names = (_kernels.__name__, _live_kernels.__name__, spectral_kernels.__name__)
     compiled = {name: sys.modules.pop(name) for name in names}
     before, numba.config.DISABLE_JIT = numba.config.DISABLE_JIT, 1
     try:
@@ -44,7 +46,7 @@ def plain() -> Iterator[tuple[ModuleType, ModuleType]]:
         for name, module in compiled.items():
             package, _, last = name.rpartition(".")
             setattr(sys.modules[package], last, module)
-    yield modules[0], modules[1]
+    yield modules[0], modules[1], modules[2]
 
 
 def system() -> StateSpace:
@@ -146,7 +148,7 @@ def test_compiled_and_plain_kernels_agree(rng, plain, monkeypatch):
     """
     readings, live_readings = record(rng), stepped(rng)
     compiled = [whole_record(readings), live(live_readings)]
-    lines = Lines(*plain)
+    lines = Lines(*plain[:2])
     for module in (kalman, blocks, model_draws):
         monkeypatch.setattr(module, "_kernels", plain[0])
     monkeypatch.setattr("aerobalance.estimation.live.filter.kernels", plain[1])
@@ -160,3 +162,44 @@ def test_compiled_and_plain_kernels_agree(rng, plain, monkeypatch):
         for one, other in zip(ones, others, strict=True):
             np.testing.assert_allclose(one, other, rtol=0, atol=4 * 6 * count * ROUNDING * np.max(np.abs(one)))
     assert not lines.missed
+
+
+def spectral(kernels: ModuleType, numbers: tuple[np.ndarray, ...]) -> list[np.ndarray]:
+    """All that the kernels of spectra give."""
+    costs, levels, points, ordinates = numbers
+    moved, best, path = np.zeros(costs.shape, bool), np.zeros(len(costs) + 1, np.int64), np.zeros(len(costs), np.int64)
+    total = np.zeros(costs.shape[1])
+    kernels.cheapest(costs, 0.7, total, moved, best, path)
+    edges = [kernels.averages(levels, fewest, 0.05, 0.5) for fewest in (1, 4)]
+    count = len(points)
+    cost, gradient, information = np.zeros(count), np.zeros((count, 5)), np.zeros((count, 5, 5))
+    frequency, gain, (background, density, weight) = ordinates[:2], np.exp(ordinates[2:4]), np.exp(ordinates[4:])
+    kernels.score_roll_offs(points, frequency, gain, background, density, weight, cost, gradient, information)
+    return [total, moved, path, *edges, cost, gradient, information]
+
+
+def test_compiled_and_plain_kernels_of_spectra_agree(rng, plain):
+    """Each of n = 40 ordinates adds some 100 roundings to sums that may cancel: of their largest value."""
+    numbers = rng.exponential(size=(30, 6)), np.cumsum(rng.normal(0, 0.2, 80)), rng.normal(size=(3, 5))
+    numbers += (rng.normal(size=(7, 40)),)
+    lines = Lines(plain[2])
+    before = sys.gettrace()
+    sys.settrace(lines.trace)
+    try:
+        interpreted = spectral(plain[2], numbers)
+    finally:
+        sys.settrace(before)
+    for one, other in zip(spectral(spectral_kernels, numbers), interpreted, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=100 * 40 * ROUNDING * np.max(np.abs(one)))
+    assert not lines.missed
+
+
+def test_the_cheapest_path_is_that_of_trying_all(rng):
+    costs, price = rng.exponential(size=(6, 3)), 0.4
+    moved, best, path = np.zeros(costs.shape, bool), np.zeros(7, np.int64), np.zeros(6, np.int64)
+    spectral_kernels.cheapest(costs, price, np.zeros(3), moved, best, path)
+
+    def paid(way: tuple[int, ...]) -> float:
+        return sum(costs[range(6), way]) + price * np.count_nonzero(np.diff(way))
+
+    assert tuple(path) == min(itertools.product(range(3), repeat=6), key=paid)

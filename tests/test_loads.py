@@ -12,6 +12,7 @@ from aerobalance.balance.calibration.fit import calibrate
 from aerobalance.balance.loads import Loads, loads_of_outputs, static_uncertainty, wind_off_loads
 from aerobalance.balance.matrix import BalanceMatrix, TemperatureEffect
 from aerobalance.balance.reduction import reduce_outputs
+from aerobalance.balance.weighing import LoadPoints, Weighing, fit_weight
 from aerobalance.balance.zeros import GaugeZero, Zero, gauge_table, gauge_zero
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError
@@ -152,6 +153,47 @@ def test_a_run_is_not_its_own_zero(balance: BalanceMatrix, rng) -> None:
     with pytest.raises(FitError, match="no zero"):  # of a run that is worked on in parts
         reduce_outputs(run.part(700, 1500), balance, zero=Zero(copy, model_on=False))
     assert reduce_outputs(run, balance, zero=Zero(rest, model_on=False)).doubts == ()
+
+
+def weighed(rng: np.random.Generator) -> Weighing:
+    """A weighing of 50 N along AF alone."""
+    pitch = np.radians(np.arange(-10.0, 11, 2))
+    load = 50.0 * np.sin(pitch) + rng.normal(0, 0.01, pitch.size)
+    return fit_weight(LoadPoints(("AF",), pitch, load[:, None], np.zeros_like(pitch), None))
+
+
+def test_weight_of_a_weighing_is_taken_off_where_it_is_known(balance: BalanceMatrix, rng) -> None:
+    """AF at rest reads +W sin(pitch); of 11 points with 0.01 N noise W is known to 0.02 N, so five times that."""
+    pitch = np.full(800, np.radians(6.0))
+    native = np.zeros((800, 6))
+    native[:, 5] = 120.0 + 50.0 * np.sin(pitch)
+    run = recorded(balance.outputs(native), extra={"pitch": ("rad", pitch)})
+    rest = recorded(rng.normal(0, 1e-6, (800, 6)), name="zero")
+    zero, weighing = Zero(rest, model_on=False), weighed(rng)
+    with pytest.warns(DataQualityWarning, match="knows the weight along AF only; that along NF, PM"):
+        loads = reduce_outputs(run, balance, zero=zero, tare=weighing)
+    assert np.allclose(loads.values[:, loads.components.index("AF")], 120.0, atol=0.1, rtol=0)
+    with pytest.raises(ValueError, match="would take it off twice"):
+        reduce_outputs(run, balance, zero=zero, tare=weighing, model=weighing)
+    with pytest.raises(ValueError, match="cannot go with a weighing"):
+        reduce_outputs(run, balance, zero=zero, tare=weighing, form="force")
+    with pytest.raises(FitError, match="zero has no channel pitch, so the weight in its zero is not known"):
+        reduce_outputs(run, balance, zero=Zero(rest, model_on=True), tare=weighing)
+
+
+def test_a_zero_says_whether_the_model_was_on(balance: BalanceMatrix) -> None:
+    with pytest.raises(ValueError, match="model_on"):
+        loads_of_outputs(recorded(np.zeros((100, 6))), balance, zero=replace(NONE, model_on=None))
+
+
+def test_a_run_among_its_tares_is_told(balance: BalanceMatrix, rng) -> None:
+    pitch = np.zeros(800)
+    run, other = (
+        recorded(rng.normal(0, NOISE, (800, 6)), extra={"pitch": ("rad", pitch)}, name=name) for name in ("run", "off")
+    )
+    rest = recorded(rng.normal(0, NOISE, (800, 6)), name="zero")
+    with pytest.warns(DataQualityWarning, match="run has the readings of the run run itself and is one of its tares"):
+        reduce_outputs(run, balance, zero=Zero(rest, model_on=False), tare=[run, other])
 
 
 def test_wind_off_loads_are_taken_off_at_the_same_pitch(balance: BalanceMatrix, rng) -> None:

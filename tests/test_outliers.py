@@ -7,15 +7,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from aerobalance.balance.loads import Loads, loads_of_outputs
+from aerobalance.balance.zeros import GaugeZero
 from aerobalance.estimation.checks.outliers import without_wild_samples
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.stuck_samples import stuck_samples
 from aerobalance.recording.wild_samples import wild_samples
+from aerobalance.simulation.calibration_stand import random_balance
 from faults.cases import all_cases
 from faults.trials import scores, worked_out
 from helpers.cable_cut import T128
+from seeds import seed_from
 
 RATE = 1600.0
 TIME = np.arange(4000) / RATE
@@ -142,3 +146,34 @@ def test_outliers_can_be_kept(rng):
     force, _ = worked_out(record, case.dynamics, {"keep_outliers": True})
     assert force is not None
     assert np.std(force.only.values - record.force) > 10
+
+
+def test_a_wild_output_of_a_bridge_is_missing_in_the_loads_it_goes_into(rng):
+    matrix = replace(random_balance(seed_from(rng)), natural_zero=None)
+    native = np.zeros((TIME.size, 6))
+    native[:, 5] = ringing(rng)
+    outputs = matrix.outputs(native) + rng.normal(0, 1e-4, native.shape)  # mV/V
+    outputs[700, 5] += 0.2  # AF reads to some mV/V
+    names = ("rN1", "rN2", "rS1", "rS2", "rRM", "rAF")
+    channels = {name: Channel(name, outputs[:, place], "mV/V") for place, name in enumerate(names)}
+    still = GaugeZero(np.zeros(6), np.zeros(6), "known", np.zeros(6), model_on=False)
+    loads = loads_of_outputs(Recording.from_columns(TIME, channels, name="run"), matrix, zero=still)
+    clean, doubts = without_wild_samples(loads, loads.components)
+    assert isinstance(clean, Loads)
+    missing = np.isnan(clean.values)
+    assert missing[:, clean.components.index("AF")].nonzero()[0].tolist() == [700]
+    assert {doubt.kind for doubt in doubts} == {"wild samples"}
+    for place, name in enumerate(clean.components):  # loads and channels are one
+        np.testing.assert_array_equal(clean.values[:, place], clean.recording.channel(name).values)
+    untouched = loads.values[~missing]
+    np.testing.assert_array_equal(clean.values[~missing], untouched)
+
+
+def test_stuck_readings_are_missing_and_told(rng):
+    values = ringing(rng)
+    values[1500:1530] = values[1500]
+    run = Recording.from_arrays(TIME, {"AF": values})
+    clean, (doubt,) = without_wild_samples(run, ["AF"])
+    assert np.flatnonzero(clean.channel("AF").missing).tolist() == list(range(1501, 1530))
+    assert doubt.kind == "stuck channel"
+    assert "29 samples of AF repeat the one before" in doubt.text

@@ -40,7 +40,8 @@ def wheel(tmp_path_factory) -> Path:
 
 def test_source_distribution_has_all_files_and_makes_the_same_wheel(wheel, tmp_path) -> None:
     with tarfile.open(built("sdist", ROOT, tmp_path / "sdist")) as archive:
-        archive.extractall(tmp_path, filter="data")
+        archive.extraction_filter = getattr(tarfile, "data_filter", None)  # from Python 3.11.4 on
+        archive.extractall(tmp_path)
     (source,) = tmp_path.glob("aerobalance-*")
     if (ROOT / ".git").exists():  # a checkout says which files are the project's
         listed = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, check=True, capture_output=True, text=True).stdout

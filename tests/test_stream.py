@@ -353,6 +353,15 @@ def test_learning_elsewhere_is_adopted(rng):
     assert np.std((force - truth)[late]) < 1.25 * np.std((best - truth)[late])
 
 
+def test_a_stream_that_ends_before_its_first_reading_has_no_force():
+    live = LiveForce(dynamics_of(T128), rate=RATE)
+    live.restart()  # there is nothing to begin anew
+    found = live.finish()["AF"]
+    assert found.force.size == found.uncertainty.size == found.load.size == 0
+    with pytest.raises(ValueError, match="the stream is finished"):
+        live.push(np.zeros(1))
+
+
 def test_nothing_to_learn_from():
     live = Axial(T128)
     live.push(np.zeros(10))

@@ -11,6 +11,8 @@ import pytest
 
 from aerobalance.app.cli import main
 from aerobalance.app.commands.shared import opened
+from aerobalance.balance.loads import Loads, loads_of_outputs
+from aerobalance.balance.zeros import GaugeZero
 from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.dynamics.modal import Mode
 from aerobalance.estimation import working_clock
@@ -22,11 +24,12 @@ from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
+from aerobalance.simulation.calibration_stand import random_balance
 from aerobalance.uncertainty.budget import component_budget, scalars, spectrum
 from aerobalance.uncertainty.mean_loads import mean_loads
 from helpers.cable_cut import T128
 from helpers.coupled_pair import SIZE, band, pair
-from seeds import trials
+from seeds import seed_from, trials
 
 RATE, SAMPLES, NOISE = 12_800.0, 80_003, 2.0
 FACTOR = 16
@@ -92,6 +95,30 @@ def test_the_force_is_that_of_the_own_clock(rng) -> None:
     # the noise is that of a reading of the record; 110,000 of them tell it to 0.3 %, learned with the force to 1 %
     assert found.noise == pytest.approx(NOISE, rel=0.02)
     assert found.bandwidth == pytest.approx(whole.bandwidth, rel=0.05)
+
+
+def test_gauge_outputs_become_loads_on_the_slower_clock(rng) -> None:
+    truth, load = force_and_load(rng, steps=())
+    balance = replace(random_balance(seed_from(rng)), natural_zero=None)
+    native = np.zeros((SAMPLES, len(balance.components)))
+    native[:, balance.components.index("AF")] = load
+    outputs = balance.outputs(native) + rng.normal(0, 1e-5, native.shape)  # mV/V
+    names = {gauge: f"r{gauge}" for gauge in ("N1", "N2", "S1", "S2", "RM", "AF")}
+    run = recording(load, pitch=np.zeros(SAMPLES))
+    channels = {name: Channel(name, outputs[:, place], "mV/V") for place, name in enumerate(names.values())}
+    bridges = replace(run, channels={**channels, "pitch": run.channel("pitch")})
+    still = GaugeZero(np.zeros(6), np.zeros(6), "known", np.zeros(6), model_on=False)
+
+    def made_ready(given: Recording | Loads) -> Loads:
+        return replace(loads_of_outputs(given, balance, zero=still), ready=True)
+
+    of_bridges = ForceWork(bridges, dynamics_of(T128), made_ready=made_ready, division=SHORT)
+    assert of_bridges.working.every == work(run).working.every > 4
+    found, plain = of_bridges.force().only, work(run).force().only
+    error = found.values - truth
+    # the bridges' own noise, 1e-5 of 1.1 mV/V of the capacity, is little beside that of the load
+    assert rms(error) == pytest.approx(rms(plain.values - truth), rel=0.05)
+    assert rms(found.uncertainty) == pytest.approx(rms(plain.uncertainty), rel=0.05)
 
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")

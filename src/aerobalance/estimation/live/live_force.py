@@ -226,7 +226,8 @@ class LiveForce:
         """
         self._finished = True
         if self._expected is None:
-            return self._found()
+            none = np.zeros(0)
+            return {name: LiveEstimate(0, self.factor, 1 / self.rate, none, none, none) for name in self.components}
         if not self._running:
             self._begin()
             self._follow(self._waiting)
@@ -532,12 +533,12 @@ class LiveForce:
 
     def _found(self) -> dict[str, LiveEstimate]:
         """What has become final since the last time."""
-        parts, self._out = (self._out, []) if self._columns is not None else ([], [])
+        parts, self._out = self._out, []
         n = len(self.components)
         number = self._begun
         if parts:
             number = parts[0][0]
-        elif self._columns is not None and self._running:
+        elif self._running:
             number = self._begun + self._pending.released
         force, deviation, loads = (
             np.concatenate([np.zeros((0, n)), *(part[which] for part in parts)]) for which in (1, 2, 3)

@@ -71,9 +71,9 @@ def amplitude_dependence(ring: Ring, *, bent: Ring | None = None) -> tuple[Ampli
     ring
         The fit itself, bent where one of the two is significant and it has no law yet, and else not.
     """
-    fallen = np.exp(-ring.decay * (float(ring.time[-1]) - ring.start))
+    falls = ring.decay * (float(ring.time[-1]) - ring.start)  # logarithm of how much; one of noise alone may rise
     straight = _again(ring, bent=False) if ring.bent else ring
-    if ring.variance < (1e-9 * ring.amplitude) ** 2 or fallen > FALLEN:
+    if ring.variance < (1e-9 * ring.amplitude) ** 2 or -falls > np.log(FALLEN):
         return None, straight
     if bent is None:
         bent = ring if ring.bent else _again(ring, bent=True)

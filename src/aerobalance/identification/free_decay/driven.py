@@ -72,8 +72,9 @@ class Band:
     def __init__(self, ring: Ring) -> None:
         self.ring = ring
         self.number = np.round((ring.time - ring.time[0]) * ring.rate).astype(np.intp)
-        self.count = max(int(ring.rate / (MEANS * ring.frequency)), 1)
-        self.size = int(self.number[-1] + 1) // self.count
+        samples = int(self.number[-1] + 1)
+        self.count = min(max(int(ring.rate / (MEANS * ring.frequency)), 1), samples)  # a ringing may be as short
+        self.size = samples // self.count
         self.interval = self.count / ring.rate
         frequency = np.fft.rfftfreq(self.size, self.interval)
         spacing = 1 / (self.size * self.interval)
@@ -101,6 +102,8 @@ class Band:
 
     def minus_log_likelihood(self, left: Array) -> float:
         """Minus the logarithm of the likelihood of residuals that are white in the band, less what all have."""
+        if not self.inside.size:
+            return 0.0  # so short a ringing has no ordinate in its band, and that says nothing
         square = np.abs(self(left)) ** 2
         return float(square.size * (np.log(np.mean(square)) + 1))
 
