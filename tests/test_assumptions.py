@@ -45,6 +45,8 @@ def effects(force: Force) -> dict[str, float]:
         # 0.05 of a motion across, which is 2.9 degrees
         ("accelerometer 3 deg across, 0-60 Hz", "cross-axis", np.degrees(0.05)),
         ("accelerometer 3 deg across, step", "cross-axis", np.degrees(0.05)),
+        # 5 N of amplitude over the 2 N rms that are assumed
+        ("hum of 5 N at 50 Hz that drifts by 0 Hz, 0-100 Hz", "hum", 5 / 2**0.5 / 2),
         # half a percent of the stiffness is a quarter of a percent of the frequency
         ("stiffness 0.5 %, broad, 2.5 s", "natural frequency", 0.5),
     ],
@@ -75,7 +77,7 @@ def test_what_is_declared_or_shown_is_not_assumed():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)  # nothing of it is true
         kinds = set(effects(ab.estimate_force(declared, case.dynamics)))
-    assert kinds <= {"cross-axis", "natural frequency", "colored noise"}
+    assert kinds <= {"cross-axis", "natural frequency", "colored noise", "hum"}
     # ringing tells the frequency
     assert "natural frequency" not in effects(tried(CASES["step alone"])[0])
     # so does a covariance that says how far it is off

@@ -260,6 +260,48 @@ def test_hum_that_is_taken_for_force_is_told_and_counted(load):
     assert "--hum" in str(doubt) or "hum" in doubt.advice
 
 
+@pytest.mark.parametrize("drift", ["0", "0.3"])
+@pytest.mark.soak(first=2)
+def test_a_record_of_noise_tells_hum_that_the_load_hides(drift):
+    """The line is in the uncertainty, of a size that the other record tells: the load has 170 times its power."""
+    case = CASES[f"hum of 5 N at 50 Hz that drifts by {drift} Hz, 0-100 Hz, with a record of noise"]
+    squares = []
+    for seed in range(trials(3, 20)):
+        record, calm = case.record(seed), case.noise_alone(seed)
+        assert calm is not None
+        force, said = worked_out(record, case.dynamics, {"noise": recording_of(calm, "noise")})
+        assert force is not None, said
+        assert force.doubts == ()
+        assert "hum" not in {one.kind for one in force.assumed}
+        one = scores(force.only.values, force.only.uncertainty, record.force)
+        squares.append([one["error"] ** 2, one["u"] ** 2])
+    # 1.54 N of the line's own, and 0.7 N of the rest
+    ratio = float(np.sqrt(np.divide(*np.sum(squares, axis=0))))
+    assert 0.75 < ratio < 1.2
+    assert float(np.sqrt(np.mean(squares, axis=0)[0])) == pytest.approx(1.7, rel=0.15)
+
+
+@pytest.mark.parametrize("load", ["0-20 Hz", "step", "none"])
+@pytest.mark.soak(first=1)
+def test_noise_behind_a_filter_is_no_other_resonance(load):
+    """Noise of 2 N up to 500 Hz alone: below the resonance a faint force had taken up a half of it."""
+    case = CASES[f"noise to 500 Hz, {load}"]
+    covers = []
+    for seed in range(trials(4, 20)):
+        force, found = tried(case, seed)
+        assert force.doubts == ()
+        covers.append(found["cover"])
+    # a mean of hundreds of independent errors scatters by 1 %; the noise itself is known to a tenth
+    assert np.mean(covers) > 0.91
+
+
+def test_named_hum_that_drifts_leaves_a_part_that_is_told():
+    force, found = tried(CASES["hum of 5 N at 50 Hz that drifts by 0.3 Hz, none, named"], 0)
+    assert [doubt.kind for doubt in force.doubts] == ["hum"]
+    assert "hum was named" in force.doubts[0].text
+    assert found["error"] < 1.5 * found["u"]
+
+
 def test_few_steps_of_a_converter_are_told_and_counted():
     case = CASES["0.6 N in steps of 1 N, noise 0.1 N"]
     for seed in range(3):

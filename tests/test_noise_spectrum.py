@@ -131,6 +131,26 @@ def test_swinging_and_mains_are_no_noise(rng):
     assert found.deviation == pytest.approx(2, rel=0.035)
     assert found.left_out == pytest.approx((50.0, 410.0), abs=0.2)
     assert not found.humps
+    # the mains go on in a run, at a phase that is not known: as a line of their power
+    (line,) = found.hum
+    assert line.frequency == pytest.approx(50, abs=0.01)
+    frequency = np.linspace(30, 70, 40_001)
+    power = 2 * np.trapezoid(line.density(frequency), frequency)
+    assert power == pytest.approx(3**2 / 2, rel=0.05)  # beyond 20 Hz there is 1 % of it
+    # averaged over the width of an ordinate it has the same
+    wide = found.colored_part(5.0).density(np.arange(30.0, 70.0, 0.4), width=0.4)
+    assert 2 * 0.4 * wide.sum() == pytest.approx(3**2 / 2, rel=0.05)
+
+
+def test_mains_that_drift_are_told_by_their_power(rng):
+    t = np.arange(16_000) / RATE
+    values = rng.normal(0, 2, t.size) + 3 * np.sin(2 * np.pi * 60 * t + np.sin(2 * np.pi * 0.3 * t))
+    (line,) = noise_spectrum_of(values, T128, interval=1 / RATE).hum
+    assert line.frequency == pytest.approx(60, abs=0.15)  # by up to 0.3 Hz, for three swings
+    frequency = np.linspace(20, 100, 40_001)
+    # as above; the line and what it swings to are 25,000 times the white noise
+    assert 2 * np.trapezoid(line.density(frequency), frequency) == pytest.approx(3**2 / 2, rel=0.05)
+    assert noise_spectrum_of(rng.normal(0, 2, t.size), T128, interval=1 / RATE).hum == ()
 
 
 def test_longest_stretch_is_taken(rng):

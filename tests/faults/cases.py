@@ -40,6 +40,10 @@ Change = Callable[[Record, np.random.Generator], Record]
 """What is done to the readings."""
 
 
+Color = Callable[[Array, float], Array]
+"""Mean density of a noise about frequencies [Hz] over a width [Hz], [N^2/Hz]."""
+
+
 @dataclass(frozen=True)
 class Case:
     """A kind of record.
@@ -63,6 +67,11 @@ class Case:
     own
         The balance's own dynamics, where the fault is that the force is worked out with others: the readings decide
         then whether they can show it.
+    color
+        Density of the noise that is there beside the white, two-sided, its mean about frequencies [Hz] over a width
+        [Hz], [N^2/Hz]: the readings decide then whether they can show it.
+    calm
+        How a record of noise alone is made, which the force is worked out with; None for none.
     """
 
     name: str
@@ -74,12 +83,18 @@ class Case:
     settings: dict[str, Any] = field(default_factory=dict)
     shown: bool = True
     own: Dynamics | None = None
+    color: Color | None = None
+    calm: Scene | None = None
 
     def record(self, seed: int) -> Record:
         """Return the record of a seed."""
         rng = np.random.default_rng([seed, *self.name.encode()])
         made = self.scene.record(rng)
         return made if self.change is None else self.change(made, rng)
+
+    def noise_alone(self, seed: int) -> Record | None:
+        """Return the record of noise alone of a seed."""
+        return None if self.calm is None else self.calm.record(np.random.default_rng([seed, 7, *self.name.encode()]))
 
     def known(self, seed: int) -> Dynamics | CoupledDynamics:
         """Return the dynamics that the force of a seed is worked out with; of six components as releases give them."""
@@ -525,34 +540,58 @@ def faint_forces() -> Iterator[Case]:
 
 
 def colors_of_noise() -> Iterator[Case]:
-    """Return noise that is not white, and hum that drifts."""
+    """Return noise that is not white, and hum that drifts; alone, with a record of noise, and with the hum named."""
     loads = {"0-100 Hz": BROAD, "0-20 Hz": SLOW, "step": STEP, "none": constant(100.0)}
+    seen, clock = ("colored noise",), Clock()
+    noises: dict[str, tuple[float, Maker, Color, tuple[str, ...]]] = {
+        "1/f from 20 Hz": (2.0, soft(1.5, 1.0, 1.0), soft_color(1.5, 1.0, 1.0, clock), seen),
+        "hump 250-350 Hz": (2.0, band(5.0, 250, 350), band_color(5.0, 250, 350), seen),
+        "noise to 500 Hz": (0.2, soft(2.0, 500.0, 8.0), soft_color(2.0, 500.0, 8.0, clock), seen),
+    }
+    for drift in (0.0, 0.05, 0.3):
+        # a swing of the phase spreads the line over twice the drift
+        color = band_color(5 / 2**0.5, 50 - drift - 1e-3, 50 + drift + 1e-3)
+        made = partial(hum, size=5.0, drift=drift)
+        noises[f"hum of 5 N at 50 Hz that drifts by {drift:g} Hz"] = (2.0, made, color, ("hum",))
     for name, force in loads.items():
-        yield Case(
-            f"1/f from 20 Hz, {name}", "noise", Scene(force, more_noise=soft(1.5, 1.0, 1.0)), ("colored noise",)
-        )
-        yield Case(
-            f"hump 250-350 Hz, {name}", "noise", Scene(force, more_noise=band(5.0, 250, 350)), ("colored noise",)
-        )
-        yield Case(
-            f"noise to 500 Hz, {name}",
-            "noise",
-            Scene(force, noise=0.2, more_noise=soft(2.0, 500.0, 8.0)),
-            ("colored noise",),
-        )
+        for what, (white, made, color, kinds) in noises.items():
+            scene = Scene(force, noise=white, more_noise=made)
+            case = partial(Case, group="noise", scene=scene, color=color)
+            yield case(f"{what}, {name}", kinds=kinds)
+            # with the noise known, nothing is left to be said of it
+            yield case(f"{what}, {name}, with a record of noise", calm=replace(scene, force=constant(0.0), clock=LONG))
+            if kinds == ("hum",):
+                yield case(f"{what}, {name}, named", settings={"hum": (50.0,)})
         yield Case(
             f"noise in bursts, {name}",
             "noise",
             Scene(force, more_noise=level(band(15.0, 0, 790), bursts)),
             ("unexplained", "changing noise"),
         )
-        for drift in (0.0, 0.05, 0.3):
-            yield Case(
-                f"hum of 5 N at 50 Hz that drifts by {drift:g} Hz, {name}",
-                "noise",
-                Scene(force, more_noise=partial(hum, size=5.0, drift=drift)),
-                ("hum",),
-            )
+
+
+def band_color(rms: float, low: float, high: float) -> Color:
+    """Return the density of noise of a band [Hz]."""
+
+    def mean(frequency: Array, width: float) -> Array:
+        width = max(width, 1e-6)
+        inside = np.minimum(frequency + width / 2, high) - np.maximum(frequency - width / 2, low)
+        return np.asarray(rms**2 / (2 * (high - low)) * np.maximum(inside, 0.0) / width)
+
+    return mean
+
+
+def soft_color(rms: float, corner: float, order: float, clock: Clock) -> Color:
+    """Return the density of samples of noise with the spectrum 1 / (1 + (f / corner)^order) up to the fine clock's."""
+    fine = np.arange(1, round(0.5 / clock.interval))  # every hertz
+    power = float(np.sum(1 / (1 + (fine / corner) ** order)) + 0.5)
+
+    def mean(frequency: Array, width: float) -> Array:
+        aliases = np.arange(-clock.fine // 2, clock.fine // 2 + 1)[:, None] * clock.rate
+        density = 1 / (1 + (np.abs(frequency + aliases) / corner) ** order)
+        return np.asarray(rms**2 / (2 * power) * density.sum(axis=0))
+
+    return mean
 
 
 def bursts(clock: Clock, time: Array) -> Array:

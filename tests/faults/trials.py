@@ -9,6 +9,8 @@ import argparse
 import json
 import time
 import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from multiprocessing import Pool
 from pathlib import Path
 from typing import Any
@@ -20,6 +22,8 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.evidence import Evidence
 from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.steps import Step, columns_of
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.errors import DataQualityWarning, FitError
@@ -36,6 +40,9 @@ LEAST_NOISE = 2e-3
 """Least noise of a reading where this is looked at [N]."""
 
 UNITS = {"ground_acceleration": "m/s^2", "pitch": "rad"} | {name: si_unit(name) for name in COMPONENTS}
+
+
+Array = np.ndarray[Any, np.dtype[np.float64]]
 
 
 def recording_of(record: Record, name: str = "record") -> Recording:
@@ -70,9 +77,6 @@ def scores(force: Array, u: Array, truth: Array) -> dict[str, float]:
     }
 
 
-Array = np.ndarray[Any, np.dtype[np.float64]]
-
-
 def of_one(force: Force) -> tuple[Array, Array]:
     """Return a force and its uncertainty [N]."""
     return force.only.values, force.only.uncertainty
@@ -84,33 +88,52 @@ def in_percent(force: Force, truth: Array) -> tuple[Array, Array, Array]:
     return 100 * found / HALF_RANGE, 100 * u / HALF_RANGE, 100 * truth / HALF_RANGE
 
 
-def can_show(case: Case, record: Record, seed: int) -> bool:
-    """Return whether a record can show the fault: its readings are clearly likelier with the balance's own dynamics.
+def can_show(case: Case, record: Record, seed: int, steps: Sequence[Step] = ()) -> bool:
+    """Return whether a record can show the fault: its readings are clearly likelier with the balance and noise it has.
 
-    The spectrum of the force is learned from the readings with either.
+    The spectrum of the force is learned from the readings with either. Of noise with a color that holds beside the
+    steps that were found: their own spectrum would hide it.
     """
-    if case.own is None:
+    if case.own is None and case.color is None:
         return case.shown
-    (component,) = case.own.components
-    load = record.columns[component]
-    both = case.own, case.known(seed)
-    evidence = Evidence(load - load.mean(), 1 / record.rate, LEAST_NOISE**2 / record.rate, among=both)
-    own, known = (evidence.of(dynamics) for dynamics in both)
-    return own - known > SHOWN
+    known = case.known(seed)
+    (component,) = known.components
+    load, interval = record.columns[component], 1 / record.rate
+    if case.own is not None:
+        evidence = Evidence(load - load.mean(), interval, LEAST_NOISE**2 * interval, among=(case.own, known))
+        return evidence.of(case.own) - evidence.of(known) > SHOWN
+    columns = columns_of(list(steps), Observation(load, interval, known))
+    left = load - columns @ np.linalg.lstsq(columns, load)[0]
+    assert case.color is not None
+    plain, colored = (Evidence(left, interval, LEAST_NOISE**2 * interval) for _ in range(2))
+    colored.white, colored.color = case.scene.noise**2 * interval, Color(case.color)
+    return colored.of(known) - plain.of(known) > SHOWN
+
+
+@dataclass(frozen=True)
+class Color:
+    """A noise of known density, as `Evidence` takes it."""
+
+    of: Callable[[Array, float], Array]
+
+    def density(self, frequency: Array, *, width: float = 0.0) -> Array:
+        """Mean density about frequencies [Hz] over a width [Hz], of their shape [N^2/Hz]."""
+        return self.of(frequency, width)
 
 
 def trial(given: tuple[Case, int]) -> dict[str, Any]:
     """Return what came of one record."""
     case, seed = given
-    record = case.record(seed)
+    record, calm = case.record(seed), case.noise_alone(seed)
+    settings = case.settings if calm is None else {**case.settings, "noise": recording_of(calm, "noise")}
     began = time.process_time()
-    force, said = worked_out(record, case.known(seed), case.settings)
+    force, said = worked_out(record, case.known(seed), settings)
     spent = time.process_time() - began
     result: dict[str, Any] = {
         "name": case.name,
         "group": case.group,
         "seed": seed,
-        "shown": can_show(case, record, seed),
+        "shown": can_show(case, record, seed, () if force is None or len(force) > 1 else force.only.steps),
         "expected": list(case.kinds),
         "said": said,
         "seconds": spent,

@@ -286,7 +286,7 @@ class Fitted:
             learned=learned,
             shared=record.shared,
             doubts=tuple(doubts),
-            assumed=tuple(assumptions_of(record, fit, through)),
+            assumed=tuple(assumptions_of(record, fit, through, hum=self.hum)),
             found_motion=self.found_motion,
         )
 
@@ -294,7 +294,18 @@ class Fitted:
     def _driven(self) -> tuple[Line, ...]:
         """Lines at frequencies of the mains that are so large that nobody would record such hum."""
         largest = LARGEST_HUM * float(np.nanmax(np.abs(self.record.load)))
-        return tuple(line for line in self.signal.large if line.amplitude > largest)
+        return tuple(line for line in self._large if line.amplitude > largest)
+
+    @property
+    def _large(self) -> tuple[Line, ...]:
+        """Lines at frequencies of the mains that are taken for force, unless the record of noise shows them too."""
+        known = () if self.record.noise is None else self.record.noise.hum
+        resolved = 1 / (self.signal.reading.values.size * self.record.interval)
+        return tuple(
+            line
+            for line in self.signal.large
+            if not any(abs(line.frequency - hum.frequency) < resolved + hum.width * hum.frequency for hum in known)
+        )
 
     def _unseen(self, errors: Sequence[Contribution]) -> Iterator[tuple[list[Doubt], list[Contribution]]]:
         """What the record leaves open of noise with a color, of a force that noise or a converter hide, and of hum."""
@@ -307,10 +318,15 @@ class Fitted:
         if hidden is not None:
             told = hidden.doubt(component, unit=unit)
             yield [told] if told else [], [hidden.error(component, count=count, interval=reading.interval)]
-        if self.hum == "mains" and not self._driven:
-            large = self.signal.large
+        if self.hum != "keep" and not self._driven:
             for doubt, noise in hum_doubts(
-                record.dynamics, learned, large=large, count=count, interval=reading.interval, unit=unit
+                record.dynamics,
+                learned,
+                named=() if isinstance(self.hum, str) else self.hum,
+                large=self._large,
+                count=count,
+                interval=reading.interval,
+                unit=unit,
             ):
                 yield [doubt], [noise]
         step = step_of(record.load)

@@ -96,7 +96,8 @@ class Assumption:
     Attributes
     ----------
     kind
-        What it is: ``"load filter"``, ``"gain"``, ``"cross-axis"``, ``"natural frequency"`` or ``"colored noise"``.
+        What it is: ``"load filter"``, ``"gain"``, ``"cross-axis"``, ``"natural frequency"``, ``"colored noise"`` or
+        ``"hum"``.
     component
         Component whose force is meant.
     text

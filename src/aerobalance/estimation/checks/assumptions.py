@@ -15,11 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.estimation.checks.colored_noise import noise_assumed
+from aerobalance.estimation.checks.mains_hum import hum_assumed
 from aerobalance.estimation.checks.model_error import error_under
 from aerobalance.estimation.force_smoother import SmootherResult, instant_columns
 from aerobalance.estimation.independent_record import SingleRecord, moves_along_axis
 from aerobalance.estimation.prior import generalised_least_squares
 from aerobalance.estimation.record import ComponentRecord, Through
+from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.motion.platform import SystematicParameter
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
@@ -57,7 +59,9 @@ SETTINGS: Final = AssumptionSettings()
 """Sizes that are used."""
 
 
-def assumptions_of(record: ComponentRecord, fit: SmootherResult, through: Through) -> Iterator[Assumption]:
+def assumptions_of(
+    record: ComponentRecord, fit: SmootherResult, through: Through, *, hum: Hum
+) -> Iterator[Assumption]:
     """Yield what is assumed for a force, each with what it would do to it.
 
     Parameters
@@ -68,6 +72,8 @@ def assumptions_of(record: ComponentRecord, fit: SmootherResult, through: Throug
         Its force by the smoother.
     through
         What the smoother makes of readings.
+    hum
+        What was to be taken for hum.
     """
     name, reading = record.dynamics.component, fit.reading
     unit = si_unit(name)
@@ -88,6 +94,8 @@ def assumptions_of(record: ComponentRecord, fit: SmootherResult, through: Throug
     if moves_along_axis(record):
         if record.noise is None and fit.learned.color is None:
             yield from noise_assumed(fit.reading, fit.learned, name, unit=unit)
+        if record.noise is None and hum == "mains" and not fit.reading.hum:
+            yield from hum_assumed(fit.reading, fit.learned, unit=unit)
         yield from _of_single(record, fit, unit)
     across = record.motion_across
     if across is not None:

@@ -86,6 +86,7 @@ def slow_noise_doubts(
             f"the noise of {component} may rise at low frequency, {corner} (probability {slow.probability:.2g}), "
             f"which would be taken for force: {effect:.2g} {unit} rms of the uncertainty are for that"
         )
+    effect = effect if effect > LEAST * learned.noise else 0.0
     told = taken or slow.probability > TOLD
     yield Doubt("colored noise", component, what, advice, effect, unit) if told else None, error
 

@@ -122,7 +122,9 @@ def hidden_force(reading: Observation, learned: SpectralPrior, *, left: Array) -
     levels = np.geomspace(*SETTINGS.levels, SETTINGS.steps)
     level = levels * float(np.mean(noise))
     model = noise[:, None] + gain[:, None] * level
-    gained = weight[:, None] * (np.log(noise[:, None] / model) + density[:, None] * (1 / noise[:, None] - 1 / model))
+    ratio = noise[:, None] / model
+    gained = weight[:, None] * (np.log(ratio) + density[:, None] / noise[:, None] * (1 - ratio))
+    expected = weight[:, None] * (np.log(ratio) + 1 - ratio)  # without a force
     bands = np.cumsum(gained, axis=0)
     widths = seen.step * np.cumsum(seen.count[kept])
     some = np.unique(np.searchsorted(widths, np.geomspace(SETTINGS.lowest * seen.step, widths[-1], 16)))
@@ -135,7 +137,10 @@ def hidden_force(reading: Observation, learned: SpectralPrior, *, left: Array) -
     reach = np.concatenate([[0.0], np.repeat(widths[some], level.size), np.repeat(frequency + line, level.size)])
     likely = chance * np.exp(evidence - evidence.max())
     likely /= likely.sum()
-    open_ = likely * np.sqrt(power)  # levels are a constant ratio apart: so each root mean square counts alike
+    # levels are a constant ratio apart: so each root mean square counts alike, up to what is expected to be seen of it
+    steady = np.vstack([np.cumsum(expected, axis=0)[some], expected])
+    size = np.sqrt(power[1:]).reshape(steady.shape)
+    open_ = np.append(0.0, likely[1:] * (size / np.sum(size * np.exp(steady), axis=1, keepdims=True)).ravel())
     if not open_.any():
         return None
     open_ /= open_.sum()

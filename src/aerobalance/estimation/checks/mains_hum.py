@@ -9,9 +9,10 @@ import numpy as np
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.error_sources import Noise
-from aerobalance.estimation.prior import SpectralPrior
-from aerobalance.estimation.spectra.line_noise import MAINS, MOST_HARMONICS, Line
-from aerobalance.recording.doubts import Doubt
+from aerobalance.estimation.prior import Observation, SpectralPrior
+from aerobalance.estimation.spectra.line_noise import LINE_EVIDENCE, MAINS, MOST_HARMONICS, Line
+from aerobalance.recording.channel import Array
+from aerobalance.recording.doubts import Assumption, Doubt
 from aerobalance.recording.errors import argument
 
 NARROW: Final = 0.05
@@ -23,12 +24,22 @@ NEAR: Final = 0.01
 STANDS_OUT: Final = 3.0
 """Level over those beside it from which it is a band of its own."""
 
+LEAST: Final = 1e-3
+"""Root mean square of an error over that of the noise below which nothing is said of it."""
+
 BINS: Final = 4096
 """Frequencies at which the spectrum of an error is kept: a line is narrow."""
 
 
 def hum_doubts(
-    dynamics: ModalModel, learned: SpectralPrior, *, large: Sequence[Line], count: int, interval: float, unit: str
+    dynamics: ModalModel,
+    learned: SpectralPrior,
+    *,
+    named: Sequence[float],
+    large: Sequence[Line],
+    count: int,
+    interval: float,
+    unit: str,
 ) -> list[tuple[Doubt, Noise]]:
     """Doubts about lines that are taken for force, each with what it does to the force if it is hum.
 
@@ -38,6 +49,9 @@ def hum_doubts(
         The balance.
     learned
         What was learned of the force.
+    named
+        Frequencies that were named as hum, of which a line that drifts leaves a part; none to look where the mains are
+        [Hz].
     large
         Lines at frequencies of the mains that are a large part of the record.
     count, interval
@@ -53,15 +67,18 @@ def hum_doubts(
             (f"a line at {line.frequency:.5g} Hz ({size})", line.frequency, line.amplitude / gain / np.sqrt(2))
         )
     if not large:
+        places = np.array(named) if named else np.outer(MAINS, np.arange(1, MOST_HARMONICS + 1)).ravel()
         found += [
-            (f"a narrow band at {middle:.4g} Hz", middle, rms) for middle, rms in _narrow_bands(learned, interval)
+            (f"a narrow band at {middle:.4g} Hz", middle, rms)
+            for middle, rms in _narrow_bands(learned, interval, places)
         ]
+    where = "hum was named" if named else "the mains are"
     return [
         (
             Doubt(
                 "hum",
                 component,
-                f"{component} shows {what}, where the mains are: it is taken for a force of {rms:.2g} {unit} rms, and "
+                f"{component} shows {what}, where {where}: it is taken for a force of {rms:.2g} {unit} rms, and "
                 "is an error of that size if it is hum",
                 f"if it is hum, shield the cables, or name a steady line with {argument('hum')}; if it is force, keep "
                 f"it with {argument('hum', 'keep')}",
@@ -74,14 +91,44 @@ def hum_doubts(
     ]
 
 
+def hum_assumed(reading: Observation, learned: SpectralPrior, *, unit: str) -> Iterator[Assumption]:
+    """Yield that there is no mains hum where a force hides it, with what a line as strong as the white noise would do.
+
+    Parameters
+    ----------
+    reading, learned
+        The record, and what was learned of it.
+    unit
+        Unit of the force.
+    """
+    mains = np.array([one for one in MAINS if one < 0.5 / reading.interval])
+    gain = np.abs(reading.dynamics.response(mains)) ** 2
+    force = gain * learned.spectrum.density(mains)
+    noise = learned.noise**2 * reading.interval
+    # under a Hann window a line of amplitude a has a^2 n dt / 6 of the power at its ordinate, and three times that is
+    # its evidence
+    lasts = np.count_nonzero(reading.present) * reading.interval
+    hidden = learned.noise**2 * lasts / (force + noise) < LINE_EVIDENCE
+    effect = np.where(hidden, learned.noise / np.sqrt(gain) * force / (force + noise), 0.0)
+    worst = int(np.argmax(effect)) if mains.size else 0
+    if not mains.size or not effect[worst] > LEAST * learned.noise:
+        return
+    name, size = reading.dynamics.component, float(effect[worst])
+    text = (
+        f"{name} has no hum where a force hides it: a line at {mains[worst]:g} Hz with the rms of its white noise, "
+        f"{learned.noise:.2g} {unit}, would change the force by {size:.2g} {unit} rms"
+    )
+    yield Assumption("hum", name, text, size, unit)
+
+
 def _error(component: str, frequency: float, rms: float, *, count: int, interval: float) -> Noise:
     density = np.zeros(BINS)
     density[min(round(2 * frequency * interval * (BINS - 1)), BINS - 1)] = BINS
     return Noise(f"hum at {frequency:.4g} Hz", component, np.full(count, rms), density)
 
 
-def _narrow_bands(learned: SpectralPrior, interval: float) -> Iterator[tuple[float, float]]:
-    """Middle [Hz] and rms [N] of narrow bands of the force at frequencies of the mains."""
+def _narrow_bands(learned: SpectralPrior, interval: float, places: Array) -> Iterator[tuple[float, float]]:
+    """Middle [Hz] and rms [N] of narrow bands of the force at some frequencies [Hz]."""
     spectrum = learned.spectrum
     if spectrum.roll_off:
         return
@@ -91,7 +138,5 @@ def _narrow_bands(learned: SpectralPrior, interval: float) -> Iterator[tuple[flo
         middle, beside = (low + high) / 2, float(max(levels[place], levels[place + 2]))
         if not level > STANDS_OUT * beside or high - low > NARROW * middle:
             continue
-        numbers = np.arange(1, MOST_HARMONICS + 1)
-        multiples = np.outer(MAINS, numbers)
-        if np.min(np.abs(middle / multiples - 1)) < NEAR:
+        if np.min(np.abs(middle / places - 1)) < NEAR:
             yield middle, float(np.sqrt(2 * (level - beside) * (high - low)))

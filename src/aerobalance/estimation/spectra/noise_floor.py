@@ -8,7 +8,7 @@ Converters filter and interpolate, so that a record sampled far above the natura
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -40,6 +40,12 @@ FEWEST_ORDINATES: Final = 64
 
 BLOCKS: Final = 16
 """Parts of a record whose powers are compared."""
+
+CONTINUED: Final = 2
+"""Levels of a noise, from the lowest frequency that shows it, that are tried for all frequencies below them."""
+
+NEXT: Final = 0.1
+"""Square of the response down to which such a level is looked for: up to twice the natural frequency."""
 
 NARROW: Final = 0.1
 """Distance from the highest level of a noise, over its frequency, at which it is asked whether that is a resonance."""
@@ -131,12 +137,25 @@ def with_floor(reading: Observation, *, left: Array) -> tuple[Observation, Floor
         for one in found
         if one.density.max() > DIFFERENT * one.density.min() and not _rings(one, periodogram.frequency)
     ]
+    colored += [other for one in colored for other in _continued(one, periodogram)]
     floor = _likeliest(reading, periodogram, colored, left=left, given=given) if colored else None
     if floor is None or not lasts(
         left, first=floor.first, last=floor.last, interval=reading.interval, noise=floor.white
     ):
         return reading, None
     return replace(reading, color=floor.color, noise=floor.white), floor
+
+
+def _continued(found: NoiseLevels, periodogram: Periodogram) -> Iterator[NoiseLevels]:
+    """The same with one of the lowest levels that are seen above the natural frequency for all frequencies below it.
+
+    Below that a faint force takes up what the noise is too low by, and the noise is then found too low.
+    """
+    places = np.flatnonzero(found.seen & (periodogram.gain < WEAKENED) & (periodogram.gain > NEXT))
+    changes = np.flatnonzero(np.diff(found.density[places])) + 1
+    for place in places[np.append(0, changes)[:CONTINUED]] if places.size else ():
+        below = np.arange(found.density.size) < place
+        yield replace(found, density=np.where(below, found.density[place], found.density))
 
 
 def _rings(found: NoiseLevels, frequency: Array) -> bool:

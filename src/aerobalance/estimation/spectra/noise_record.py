@@ -11,6 +11,7 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
@@ -20,7 +21,7 @@ from scipy.optimize import minimize
 from scipy.special import gammainc, gammaincc
 
 from aerobalance.dynamics.modal import ModalModel
-from aerobalance.estimation.spectra.line_noise import columns_of_lines, hum_lines
+from aerobalance.estimation.spectra.line_noise import MAINS, MOST_HARMONICS, Line, columns_of_lines, hum_lines
 from aerobalance.estimation.spectra.noise_spectrum import EXPONENTS, Hump, NoiseSpectrum
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError, warn_quality
@@ -58,6 +59,16 @@ MOST_HUMPS: Final = 4
 
 WIDTHS: Final = (0.1, 3.0)
 """Widths of a hump over its frequency."""
+
+WANDERS: Final = 4e-3
+"""Width of a line of the mains over its frequency: it keeps its phase for a second or two, as the mains drift by 0.1 %
+from one minute to the next, and is narrower than what a run of some seconds resolves."""
+
+DRIFTS: Final = 0.01
+"""Relative distance from a frequency of the mains up to which a narrow band is a line of them that drifts."""
+
+FIRST_LINE: Final = 8
+"""Ordinates on either side of it from which its surroundings are told."""
 
 MISFIT_BANDS: Final = 24
 """Bands, a constant ratio wide, in which the record is compared with what is taken for its spectrum."""
@@ -142,7 +153,15 @@ def _spectrum_of(point: Array, seen: Ordinates, *, usual: tuple[float, float] = 
         covariance=covariance[1:3, 1:3],
         u_white=float(np.sqrt(covariance[0, 0])),
         left_out=seen.lines,
+        hum=seen.hum,
     )
+
+
+def _as_hump(line: Line) -> Hump:
+    """A line of the mains as a peak of its power, whose phase in another record is not known."""
+    across = WANDERS * line.frequency
+    # a peak of level / (1 + (2 d / across)^2) on either side of zero has the variance pi across level
+    return Hump(line.frequency, WANDERS, line.amplitude**2 / (2 * np.pi * across))
 
 
 def _tell_of_misfit(seen: Ordinates, model: Array, *, component: str, name: str) -> None:
@@ -193,6 +212,8 @@ class Ordinates:
         Time between samples [s].
     lines
         Frequencies of lines that are left out [Hz].
+    hum
+        Lines of the mains, as narrow peaks.
     """
 
     frequency: Array
@@ -202,6 +223,7 @@ class Ordinates:
     fixed: Array
     interval: float
     lines: tuple[float, ...]
+    hum: tuple[Hump, ...] = ()
 
     @classmethod
     def of(
@@ -215,7 +237,8 @@ class Ordinates:
     ) -> Ordinates:
         """Take the periodogram of a record without gaps under a window that tapers over a share of it."""
         values = values - values.mean()
-        mains = [line.frequency for line in hum_lines(values, interval)]
+        found = hum_lines(values, interval)
+        mains = [line.frequency for line in found]
         columns = columns_of_lines(mains, count=values.size, interval=interval)
         values = values - columns @ np.linalg.lstsq(columns, values, rcond=None)[0]
         window = tapered(values.size, TAPER)
@@ -226,6 +249,10 @@ class Ordinates:
         for mode in dynamics.modes:
             kept &= np.abs(frequency / mode.natural_frequency - 1) > BESIDE_MODE
         kept[:FIRST] = kept[-1] = False
+        hum = [_as_hump(line) for line in found]
+        for drifting, near in _drifting_mains(power, frequency):
+            hum.append(drifting)
+            kept &= ~near
         lines = _lines(power) & kept
         places = np.flatnonzero(lines)
         kept &= np.convolve(lines, np.ones(5), mode="same") < 0.5
@@ -237,19 +264,42 @@ class Ordinates:
         index = np.flatnonzero(kept)
         edges = _averages(index)
         count = np.diff(np.append(edges, index.size))
-        found = np.stack([frequency, power, gain])[:, index]
-        frequency, power, gain = np.add.reduceat(found, edges, axis=1) / count
+        kept_only = np.stack([frequency, power, gain])[:, index]
+        frequency, power, gain = np.add.reduceat(kept_only, edges, axis=1) / count
         # the taper's ordinates are not independent: as many as sum(w^2)^2 / sum(w^4) readings give
         share = float(np.sum(window**2) ** 2 / np.sum(window**4) / values.size)
         separate = [float(f) for f in places[np.diff(places, prepend=-9) > 2] / (values.size * interval)]
         lines_left_out = tuple(sorted([*mains, *separate]))
-        return cls(frequency, power, count * share, gain, gain * input_density, interval, lines_left_out)
+        return cls(frequency, power, count * share, gain, gain * input_density, interval, lines_left_out, tuple(hum))
 
     @property
     def lowest_hump(self) -> float:
         """Lowest frequency at which a hump is looked for [Hz]: above the 1/f part, or from the first ordinate on."""
         first, last = float(self.frequency[0]), float(self.frequency[-1])
         return min(4 * first, max(first, 0.02 * last))
+
+
+def _drifting_mains(power: Array, frequency: Array) -> Iterator[tuple[Hump, NDArray[np.bool_]]]:
+    """Narrow bands at frequencies of the mains, as a line that drifts makes them, each with its ordinates, (m,)."""
+    limit = 1.5 * float(np.log(power.size / UNLIKELY))
+    for mains in MAINS:
+        bands = []
+        for number in range(1, MOST_HARMONICS + 1):
+            off = np.abs(frequency / (number * mains) - 1)
+            near, beside = off < DRIFTS, (off >= DRIFTS) & (off < 4 * DRIFTS)
+            if number * mains * (1 + DRIFTS) > frequency[-1] or np.count_nonzero(beside) < 2 * FIRST_LINE:
+                continue
+            level = float(np.median(power[beside])) / np.log(2)
+            if float(power[near].max()) < limit * level:
+                continue
+            excess = np.maximum(power[near] - level, 0.0)
+            middle = float(np.average(frequency[near], weights=excess))
+            spread = float(np.sqrt(np.average((frequency[near] - middle) ** 2, weights=excess)))
+            across = max(WANDERS * middle, 2 * spread)
+            variance = 2 * float(np.sum(excess)) * float(frequency[1])
+            bands.append((number, Hump(middle, across / middle, variance / (np.pi * across)), near))
+        if len(bands) > 1 or (bands and bands[0][0] == 1):
+            yield from ((hump, near) for _, hump, near in bands)
 
 
 def _lines(power: Array) -> NDArray[np.bool_]:

@@ -31,6 +31,9 @@ CORNER_RATIO: Final = 3.0
 SLOWEST: Final = 1 / 3
 """Frequency below which the density of 1/f noise is taken as constant, over 1 / duration of the record [1]."""
 
+NARROW: Final = 4.0
+"""Width of a hump over that of what it is averaged over, up to which that changes it."""
+
 NEGLIGIBLE: Final = 0.01
 """Density of the 1/f part over the white one [1]; at frequencies where it is lower it needs no relaxation."""
 
@@ -75,6 +78,16 @@ class Hump:
             whole[2] += density
         return whole
 
+    def mean(self, frequency: Array, width: float, interval: float) -> Array:
+        """Mean of `sampled` over a width about frequencies [Hz], of their shape [N^2/Hz]."""
+        across = self.width * self.frequency
+        if across > NARROW * width:
+            return self.sampled(frequency, interval)
+        # near its centre a narrow peak is level / (1 + (2 d / across)^2) at a distance d
+        edges = (2 * (frequency + side * width / 2 - self.frequency) / across for side in (1, -1))
+        high, low = (np.arctan(edge) for edge in edges)
+        return np.asarray(self.level * across / (2 * width) * (high - low))
+
     @property
     def shaping(self) -> ShapingFilter:
         """Shaping filter of two states: a damped oscillator, of which the noise is the velocity [N]."""
@@ -115,8 +128,8 @@ class ColoredNoise:
     def density(self, frequency: Array, *, width: float = 0.0) -> Array:
         """Two-sided density of the samples at frequencies [Hz], of their shape [N^2/Hz].
 
-        With a `width` [Hz], the part of the relaxations is its mean over that width around each frequency: it may
-        change much within an ordinate of a periodogram. Humps are too broad for that.
+        With a `width` [Hz], it is the mean over that width around each frequency: relaxations and lines of hum may
+        change much within an ordinate of a periodogram.
         """
         frequency = np.asarray(frequency, dtype=np.float64)
         whole = np.zeros(frequency.shape)
@@ -130,7 +143,9 @@ class ColoredNoise:
                 whole += variance * _relaxation(frequency, corner, self.interval)
         whole /= width or 1.0
         for hump in self.humps:
-            whole += hump.sampled(frequency, self.interval)
+            whole += (
+                hump.mean(frequency, width, self.interval) if width > 0 else hump.sampled(frequency, self.interval)
+            )
         return whole
 
 
@@ -201,6 +216,8 @@ class NoiseSpectrum:
         Relative standard uncertainty of the white density [1].
     left_out
         Frequencies of lines of the record that are no noise, and that the density leaves out [Hz].
+    hum
+        Lines of the mains, each a peak as narrow as a line that keeps its phase for some seconds.
     """
 
     white: float
@@ -211,6 +228,7 @@ class NoiseSpectrum:
     covariance: Array
     u_white: float = 0.0
     left_out: tuple[float, ...] = ()
+    hum: tuple[Hump, ...] = ()
 
     def __post_init__(self) -> None:
         if not (0 < self.white < np.inf and 0 < self.interval < np.inf):
@@ -225,8 +243,8 @@ class NoiseSpectrum:
 
     @property
     def colored(self) -> bool:
-        """Whether there is a 1/f part or a hump."""
-        return bool(self.corner > 0 or self.humps)
+        """Whether there is a 1/f part, a hump or hum."""
+        return bool(self.corner > 0 or self.humps or self.hum)
 
     def __str__(self) -> str:
         """The parts in words."""
@@ -234,6 +252,7 @@ class NoiseSpectrum:
         if self.corner:
             parts.append(f"1/f^{self.exponent:.2g} below {self.corner:.3g} Hz")
         parts += [f"a hump at {hump.frequency:.3g} Hz" for hump in self.humps]
+        parts += [f"hum at {line.frequency:.4g} Hz" for line in self.hum]
         return ", ".join(parts)
 
     def density(self, frequency: Array) -> Array:
@@ -242,7 +261,7 @@ class NoiseSpectrum:
         whole = np.full(frequency.shape, self.white)
         if self.corner:
             whole += self.white * (self.corner / frequency) ** self.exponent
-        for hump in self.humps:
+        for hump in (*self.humps, *self.hum):
             whole += hump.sampled(frequency, self.interval)
         return whole
 
@@ -277,4 +296,4 @@ class NoiseSpectrum:
             sizes, _ = nnls(densities * weight[:, None] / scale, target * weight)
             kept = sizes > 0
             corners, variances = corners[kept], (sizes / scale)[kept]
-        return ColoredNoise(corners, variances, self.humps, self.interval)
+        return ColoredNoise(corners, variances, (*self.humps, *self.hum), self.interval)
