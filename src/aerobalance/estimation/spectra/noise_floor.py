@@ -154,8 +154,9 @@ def _continued(found: NoiseLevels, periodogram: Periodogram) -> Iterator[NoiseLe
     places = np.flatnonzero(found.seen & (periodogram.gain < WEAKENED) & (periodogram.gain > NEXT))
     changes = np.flatnonzero(np.diff(found.density[places])) + 1
     for place in places[np.append(0, changes)[:CONTINUED]] if places.size else ():
-        below = np.arange(found.density.size) < place
-        yield replace(found, density=np.where(below, found.density[place], found.density))
+        density = np.where(np.arange(found.density.size) < place, found.density[place], found.density)
+        if density.max() > DIFFERENT * density.min():  # else it is white
+            yield replace(found, density=density)
 
 
 def _rings(found: NoiseLevels, frequency: Array) -> bool:
