@@ -185,7 +185,7 @@ def test_force_is_that_of_every_mass_point(rng):
     truth = np.stack([(moment if n in MOMENTS else force) @ VECTORS[n] for n in COMPONENTS], axis=1)
     exact, pull = platform.motion(), gravity_of(platform)
     spin = platform.rate() @ np.array([VECTORS[n] for n in MOMENTS]).T
-    motion = PlatformMotion(exact, np.eye(6), exact - pull, spin, 0.0, ())
+    motion = PlatformMotion(exact, np.eye(6), np.eye(6), exact - pull, spin, 0.0, ())
     # seven-point differences: (w h)^6 / 140 of it, under 1e-9, and rounding of 1e-16 / h^2 = 1e-10 m/s^2
     np.testing.assert_allclose(motion.force(body), truth, rtol=0, atol=1e-6 * np.abs(truth).max())
 

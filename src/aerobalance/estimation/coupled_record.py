@@ -122,7 +122,7 @@ class CoupledRecord(BalanceRecord):
     def motion_covariance(self) -> Array:
         """Covariance of the white noise of the ground's motion as a load per sample, shape (n, n)."""
         mass = self.dynamics.mass_rows
-        return np.asarray(mass @ self.platform.covariance @ mass.T)
+        return np.asarray(mass @ self.platform.white_covariance @ mass.T)
 
     def is_uncertain(self, component: str) -> bool:
         """Whether the matrices are not known exactly, or the mass while there is motion or weight."""

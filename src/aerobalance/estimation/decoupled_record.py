@@ -69,7 +69,7 @@ class DecoupledRecord(ComponentRecord):
     def input_noise(self) -> float:
         """White noise of the ground's motion as a force per sample [N]."""
         row = self.coupled.mass_rows[self.decoupled.place]
-        return float(np.sqrt(max(row @ self.platform.covariance @ row, 0.0)))
+        return float(np.sqrt(max(row @ self.platform.white_covariance @ row, 0.0)))
 
     @property
     def assumptions(self) -> tuple[str, ...]:

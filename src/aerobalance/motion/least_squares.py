@@ -180,6 +180,28 @@ class GroundFit:
         maps = [band.gains for band in self.bands]
         return self.spread(maps, variance=self._variance, differentiated=self._is_rate)
 
+    def density(self, frequency: Array) -> Array:
+        """Covariance of the noise of the motions at frequencies of shape (k,) [Hz], shape (k, 6, 6).
+
+        That of one sample of a white noise as strong as it is there.
+        """
+        grows = np.where(self._is_rate[:, None], (2 * np.pi * frequency) ** 2, 1.0) * self._variance[:, None]
+        through = np.sum([band.gains[:, :, None] * band.share(frequency) for band in self.bands], axis=0)
+        return np.asarray(np.einsum("isk,sk,jsk->kij", through, grows, through, optimize=True))
+
+    @property
+    def white_covariance(self) -> Array:
+        """Covariance of the noise of one sample of the six motions where it is taken for white, shape (6, 6).
+
+        Noise of a rate that is differentiated grows with frequency up to where the rate is used: as strong a noise at
+        all frequencies would be spread too thin. White noise has the density that the motion's has where its power is.
+        """
+        density = np.diagonal(self.density(np.linspace(0, self.rate / 2, SETTINGS.dense)), axis1=1, axis2=2)
+        power = np.mean(density, axis=0)
+        spread = np.mean(density**2, axis=0) / np.where(power > 0, power, 1.0) ** 2
+        scale = np.sqrt(np.where(power > 0, spread, 1.0))
+        return np.asarray(self.covariance * np.outer(scale, scale))
+
     @property
     def residual_covariance(self) -> Array:
         """Covariance that noise gives the residuals of one sample, shape (m, m)."""

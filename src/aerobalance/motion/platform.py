@@ -80,8 +80,10 @@ class PlatformMotion:
     acceleration
         Shape (n, 6) [m/s^2, rad/s^2].
     covariance
-        Covariance of the noise of one of its samples with that of gravity, shape (6, 6); taken as white, but what
-        comes from a rate of turn grows with frequency.
+        Covariance of the noise of one of its samples with that of gravity, shape (6, 6).
+    white_covariance
+        The same of a white noise that is as strong as that noise is where its power is: what comes from a rate of
+        turn grows with frequency up to where the rate is used.
     specific_force
         The acceleration less gravity, shape (n, 6) [m/s^2, rad/s^2]; gravity is in the straight ones only.
     turn_rate
@@ -99,6 +101,7 @@ class PlatformMotion:
 
     acceleration: Array
     covariance: Array
+    white_covariance: Array
     specific_force: Array
     turn_rate: Array
     delay: float
@@ -249,9 +252,11 @@ class MotionRecord:
         if len(fit.sensors) > 1:
             readings = self.readings - known @ fit.rows.T - (found.felt if found.removed else 0.0)
             check_agreement(self.recording.name, fit, readings, found.motion, effects)
+        covariance = self._covariance(fit, variance)
         return PlatformMotion(
             acceleration=found.motion,
-            covariance=self._covariance(fit, variance),
+            covariance=covariance,
+            white_covariance=covariance + fit.white_covariance - fit.covariance,
             specific_force=found.motion - self.pull.acceleration if self.pull.angles else found.motion,
             turn_rate=found.rate,
             delay=fit.sensors[0].channel.delay if fit.sensors else 0.0,

@@ -51,6 +51,7 @@ class RingingSettings:
     iterations: int = 6
     fine: int = 2
     stands_out: float = 10.0
+    in_common: float = 10.0
 
 
 SETTINGS: Final = RingingSettings()
@@ -158,7 +159,8 @@ class Ringing:
         # noise of the ground's sensors is a force that all components have in common, and rings as one
         response = record.dynamics.response(frequency)
         shaken = np.einsum("mij,jk,mik->im", response, record.motion_covariance, response.conj(), optimize=True)
-        level = _sums(raw / (noise[:, None] + interval * np.real(shaken)), bands).mean(axis=0) / widths
+        shaking = SETTINGS.in_common * interval * np.real(shaken)
+        level = _sums(raw / (noise[:, None] + shaking), bands).mean(axis=0) / widths
         shown = np.repeat(level > SETTINGS.stands_out, widths)
         return cls(
             frequency,
