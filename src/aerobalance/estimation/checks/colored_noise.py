@@ -38,6 +38,9 @@ SHOWN: Final = 12.0
 CORNERS: Final = 40
 """Corners of 1/f noise that are tried."""
 
+ROUNDING: Final = 1e-6
+"""Root mean square of an error over the range of the readings below which it is that of arithmetic."""
+
 LEAST: Final = 1e-3
 """Root mean square of an error over that of the noise below which nothing is said of it."""
 
@@ -86,8 +89,8 @@ def slow_noise_doubts(
             f"the noise of {component} may rise at low frequency, {corner} (probability {slow.probability:.2g}), "
             f"which would be taken for force: {effect:.2g} {unit} rms of the uncertainty are for that"
         )
-    effect = effect if effect > LEAST * learned.noise else 0.0
-    told = taken or slow.probability > TOLD
+    effect = effect if effect > max(LEAST * learned.noise, ROUNDING * float(np.ptp(reading.filled))) else 0.0
+    told = taken or (slow.probability > TOLD and effect > 0)
     yield Doubt("colored noise", component, what, advice, effect, unit) if told else None, error
 
 

@@ -89,11 +89,9 @@ def checked(force: Force) -> Force:
             parts[name] = _raised(parts[name], found, own, interval=interval)
             if misfit.possible is not None:
                 parts[name] = _left_open(parts[name], misfit.possible, own, interval=interval)
-            if (
-                bent is not None
-                and not found
-                and (bent.probability == 1 or not kinds & {"colored noise", "unexplained"})
-            ):
+            # damping that is not linear may look like noise of a color; a shock goes with the motion as all of it does
+            colored = "colored noise" in kinds and bent is not None and not bent.of_spring and bent.probability < 1
+            if bent is not None and not found and not colored and "unexplained" not in kinds:
                 parts[name] = _bent(parts[name], one, bent, error)
     return replace(force, parts={name: _without_vague(part) for name, part in parts.items()})
 

@@ -23,10 +23,14 @@ class StepRingingSettings:
     ----------
     iterations, settled
         Iterations by which steps tell the dynamics, and change over its uncertainty at which they end.
+    usual
+        Standard deviation that the logarithm of the damping ratio has before: where steps say nothing of the damping,
+        a resonance without any would tell its frequency far too well.
     """
 
     iterations: int = 20
     settled: float = 0.1
+    usual: float = 1.0
 
 
 SETTINGS: Final = StepRingingSettings()
@@ -62,7 +66,7 @@ def change_by_steps(reading: Observation, steps: Sequence[Step], learned: Spectr
         at = replace(reading, dynamics=other)
         return np.column_stack([response_to(step, at) for step in steps])
 
-    covariance = np.zeros((2, 2))
+    covariance, usual = np.zeros((2, 2)), np.diag([0.0, SETTINGS.usual**-2])
     for _ in range(SETTINGS.iterations):
         other = own.retuned(frequency=float(np.exp(point[0])), damping=float(np.exp(point[1])))
         # beyond a fraction of the width of the resonance the slopes say nothing any more
@@ -74,7 +78,9 @@ def change_by_steps(reading: Observation, steps: Sequence[Step], learned: Spectr
         ]
         sizes, whole, _ = generalised_least_squares(filter_, reading.filled, np.column_stack([shapes, *slopes]))
         heights, covariance = sizes[1 : 1 + count], whole[-2:, -2:]
-        change = np.clip(sizes[-2:], -most, most)
+        weight = np.linalg.inv(covariance)
+        covariance = np.linalg.inv(weight + usual)
+        change = np.clip(covariance @ (weight @ sizes[-2:] - usual @ point), -most, most)
         point = point + change
         if (np.abs(change) < SETTINGS.settled * np.sqrt(np.diag(covariance))).all():
             break
