@@ -38,7 +38,7 @@ SHOWN: Final = 12.0
 CORNERS: Final = 40
 """Corners of 1/f noise that are tried."""
 
-ROUNDING: Final = 1e-6
+ROUNDING: Final = 1e-5
 """Root mean square of an error over the range of the readings below which it is that of arithmetic."""
 
 LEAST: Final = 1e-3

@@ -23,6 +23,10 @@ from aerobalance.recording.channel import Array
 EVEN: Final = 5.0
 """Gain in log-likelihood of 1/f noise at which it is as likely as white noise: chance brings it in one of 500."""
 
+TAKEN: Final = 7.0
+"""Gain from which on it is taken for what the noise is beside a force, a probability of 0.88: taken falsely it doubles
+the uncertainty, and below this it counts in it by its probability."""
+
 WORTH_A_LOOK: Final = 1.0
 """Gain with the force as it was learned from which on the force is learned anew."""
 
@@ -72,8 +76,8 @@ class SlowNoise:
 
     @property
     def likely(self) -> bool:
-        """Whether it is likelier than white noise."""
-        return self.gain > EVEN
+        """Whether it is clearly likelier than white noise."""
+        return self.gain > (EVEN if self.instead_of_force else TAKEN)
 
     @property
     def probability(self) -> float:
