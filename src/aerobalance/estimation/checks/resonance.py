@@ -81,7 +81,7 @@ class ResonanceSettings:
     open_half: float = 8.0
     open_steepness: float = 0.8
     usual: float = 2.0
-    decisive_far: float = 22.0
+    decisive_far: float = 14.0
     by_steps: float = 50.0
     confirmed: float = 25.0
     far: float = 0.1
