@@ -180,15 +180,6 @@ class GroundFit:
         maps = [band.gains for band in self.bands]
         return self.spread(maps, variance=self._variance, differentiated=self._is_rate)
 
-    def density(self, frequency: Array) -> Array:
-        """Covariance of the noise of the motions at frequencies of shape (k,) [Hz], shape (k, 6, 6).
-
-        That of one sample of a white noise as strong as it is there.
-        """
-        grows = np.where(self._is_rate[:, None], (2 * np.pi * frequency) ** 2, 1.0) * self._variance[:, None]
-        through = np.sum([band.gains[:, :, None] * band.share(frequency) for band in self.bands], axis=0)
-        return np.asarray(np.einsum("isk,sk,jsk->kij", through, grows, through, optimize=True))
-
     @property
     def white_covariance(self) -> Array:
         """Covariance of the noise of one sample of the six motions where it is taken for white, shape (6, 6).
@@ -196,11 +187,13 @@ class GroundFit:
         Noise of a rate that is differentiated grows with frequency up to where the rate is used: as strong a noise at
         all frequencies would be spread too thin. White noise has the density that the motion's has where its power is.
         """
-        density = np.diagonal(self.density(np.linspace(0, self.rate / 2, SETTINGS.dense)), axis1=1, axis2=2)
+        maps = [band.gains for band in self.bands]
+        lines = self._lines(maps, variance=self._variance, differentiated=self._is_rate)
+        density = np.diagonal(lines, axis1=1, axis2=2)
         power = np.mean(density, axis=0)
         spread = np.mean(density**2, axis=0) / np.where(power > 0, power, 1.0) ** 2
         scale = np.sqrt(np.where(power > 0, spread, 1.0))
-        return np.asarray(self.covariance * np.outer(scale, scale))
+        return np.asarray(np.mean(lines, axis=0) * np.outer(scale, scale))
 
     @property
     def residual_covariance(self) -> Array:
@@ -221,18 +214,18 @@ class GroundFit:
         differentiated
             Whether each source is differentiated, as rates of turn are, shape (k,); None for none.
         """
-        frequency = np.linspace(0, self.rate / 2, SETTINGS.dense)
         if differentiated is None:
             differentiated = np.zeros(variance.size, dtype=bool)
-        total = np.zeros((maps[0].shape[0],) * 2)
-        for one, left in zip(self.bands, maps, strict=True):
-            for other, right in zip(self.bands, maps, strict=True):
-                # neighbouring bands overlap, so that the noise of a source in them is correlated
-                shared = one.share(frequency) * other.share(frequency)
-                grown = float(np.mean(shared * (2 * np.pi * frequency) ** 2))
-                size = variance * np.where(differentiated, grown, float(np.mean(shared)))
-                total += (left * size) @ right.T
-        return total
+        return np.asarray(np.mean(self._lines(maps, variance=variance, differentiated=differentiated), axis=0))
+
+    def _lines(self, maps: list[Array], *, variance: Array, differentiated: NDArray[np.bool_]) -> Array:
+        """The same of a white noise as strong as it is at each of some frequencies up to half the rate, (l, p, p)."""
+        frequency = np.linspace(0, self.rate / 2, SETTINGS.dense)
+        grown = np.where(differentiated[:, None], (2 * np.pi * frequency) ** 2, 1.0) * variance[:, None]
+        # neighbouring bands overlap, so that the noise of a source in them is correlated
+        shares = [one[:, :, None] * band.share(frequency) for band, one in zip(self.bands, maps, strict=True)]
+        through = np.sum(shares, axis=0)
+        return np.asarray(np.einsum("isl,sl,jsl->lij", through, grown, through, optimize=True))
 
     @property
     def _variance(self) -> Array:
