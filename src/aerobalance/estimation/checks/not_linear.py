@@ -10,7 +10,7 @@ not Gaussian may be coherent with a term: then it is so at other lags as well, w
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -24,18 +24,23 @@ from aerobalance.estimation.prior import Observation
 from aerobalance.recording.channel import Array
 from aerobalance.recording.doubts import Doubt
 
-TERMS: Final[Mapping[str, Callable[[Array, Array], Array]]] = {
+Term = Callable[[Array, Array], Array]
+
+OF_DAMPING: Final[Mapping[str, Term]] = {
     "friction": lambda x, v: np.sign(v),
     "damping that grows with the deflection": lambda x, v: np.abs(x) * v,
     "damping that grows with the speed": lambda x, v: np.abs(v) * v,
+}
+"""Forces against the motion that are looked for, of deflection and speed over their root mean squares."""
+
+OF_SPRING: Final[Mapping[str, Term]] = {
     "stiffness that changes with the deflection": lambda x, v: x**3,
     "stiffness that differs by the side": lambda x, v: x**2,
 }
-"""Forces that are looked for, of deflection and speed over their root mean squares: against the motion, or of a spring
-with the load that bends it."""
+"""Forces of a spring with the load that bends it, of either sign."""
 
-OF_SPRING: Final = "stiffness"
-"""How the terms begin that are of a spring and have either sign."""
+TERMS: Final[Mapping[str, Term]] = {**OF_DAMPING, **OF_SPRING}
+"""All that is looked for."""
 
 GAIN: Final = 8.0
 """Gain in log-likelihood that is no chance: four deviations with the right sign, in one of ten thousand sound records
@@ -113,7 +118,7 @@ class NotLinear:
     @property
     def of_spring(self) -> bool:
         """Whether the spring is what is not linear."""
-        return self.kind.startswith(OF_SPRING)
+        return self.kind in OF_SPRING
 
     def force(self, felt: Array, dynamics: ModalModel, *, interval: float) -> Array:
         """Return the force that goes with an applied one, shape (n,) [N]."""
@@ -161,8 +166,8 @@ def not_linear(reading: Observation, dynamics: Dynamics, *, left: Array | None =
     if last is None:
         return None
     best: tuple[float, NotLinear] | None = None
-    for kinds, place in _terms(dynamics, frequency, last, of_spring_alone=left is not None):
-        found = _best_of(kinds, seen, values, dynamics, frequency=frequency, last=place, band=last)
+    for terms, place in _terms(dynamics, frequency, last, of_spring_alone=left is not None):
+        found = _best_of(terms, seen, values, dynamics, frequency=frequency, last=place, band=last)
         if found is not None and (best is None or found[0] > best[0]):
             best = found
     return None if best is None else best[1]
@@ -170,19 +175,19 @@ def not_linear(reading: Observation, dynamics: Dynamics, *, left: Array | None =
 
 def _terms(
     dynamics: Dynamics, frequency: Array, last: int, *, of_spring_alone: bool
-) -> Iterator[tuple[list[str], int]]:
+) -> Iterator[tuple[Mapping[str, Term], int]]:
     """Terms of damping and of a spring, and the last ordinate of the motion that they are looked for in.
 
     What a spring that is not linear leaves at harmonics of the resonance may stand out as a load does.
     """
     if not of_spring_alone:
-        yield [kind for kind in TERMS if not kind.startswith(OF_SPRING)], last
+        yield OF_DAMPING, last
     below = int(np.searchsorted(frequency, BELOW_HARMONICS * dynamics.natural_frequency))
-    yield [kind for kind in TERMS if kind.startswith(OF_SPRING)], min(last, below)
+    yield OF_SPRING, min(last, below)
 
 
 def _best_of(
-    kinds: Sequence[str],
+    terms: Mapping[str, Term],
     seen: NDArray[np.complex128],
     values: Array,
     dynamics: Dynamics,
@@ -207,8 +212,8 @@ def _best_of(
     alike = float(np.mean(window**4) / np.mean(window**2) ** 2)
     period = rate / dynamics.natural_frequency
     best: tuple[float, NotLinear] | None = None
-    for kind in kinds:
-        shape, of_spring = TERMS[kind](x, v), kind.startswith(OF_SPRING)
+    for kind, term in terms.items():
+        shape, of_spring = term(x, v), kind in OF_SPRING
         shown = (response - 1 if of_spring else response) * np.fft.rfft(window * (shape - shape.mean()))
         match = np.fft.irfft(weight * shown.conj() * seen, count) * count / 2
         information = float(np.sum(weight * np.abs(shown) ** 2))
