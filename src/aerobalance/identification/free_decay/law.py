@@ -129,7 +129,8 @@ def levelled(ring: Ring) -> tuple[Ring, AmplitudeLaw, AmplitudeDependence]:
     chosen = ring.law
     if chosen is None:
         raise ValueError("the ring has no law")
-    ring = by_law(without_wander(ring), chosen)
+    still = without_wander(ring)
+    ring = ring if still is ring else by_law(still, chosen)
     since = ring.time - ring.start - ring.duration
     since = since[since > 0]
     places = _places(ring)
