@@ -75,7 +75,7 @@ def rms(values) -> float:
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")  # of the ramp, on either clock
 def test_the_force_is_that_of_the_own_clock(rng) -> None:
-    apart, over, scores = [], [], []
+    apart, over, scores, noises = [], [], [], []
     for _ in range(3):
         truth, load = force_and_load(rng)
         record = recording(load)
@@ -91,14 +91,15 @@ def test_the_force_is_that_of_the_own_clock(rng) -> None:
         over.append(rms(found.uncertainty[calm]) / rms(whole.uncertainty[calm]))
         scores.append(rms(((found.values - truth) / found.uncertainty)[calm]))
         assert found.method.startswith(f"on a clock {slow.working.every} times as slow as the record's, ")
-        # the noise is that of a reading of the record; 110,000 of them tell it to 0.3 %, learned with the force to 1 %
-        assert found.noise == pytest.approx(NOISE, rel=0.06)
+        noises.append(found.noise)
         assert found.bandwidth == pytest.approx(whole.bandwidth, rel=0.05)
     # each has learned its prior from other readings: an error of a tenth of u beside u is half a percent of it; one
     # part of some tens leaves noise of a color open that all readings together do not
     assert np.median(apart) < 0.15
     assert np.median(over) == pytest.approx(1.0, abs=0.05)
     assert np.median(scores) == pytest.approx(1.0, abs=0.15)
+    # the noise is that of a reading of the record; 110,000 of them tell it to 0.3 %, learned with the force to 1 %
+    assert np.median(noises) == pytest.approx(NOISE, rel=0.02)
 
 
 def test_gauge_outputs_become_loads_on_the_slower_clock(rng) -> None:
