@@ -134,13 +134,19 @@ class NotLinear:
 
     def doubt(self, component: str, *, effect: float, unit: str) -> Doubt:
         """Return it in words."""
-        text = (
-            f"{component} shows {self.kind}, a force of {self.size:.3g} {unit} (u = {self.u:.2g} {unit}) where the "
-            "motion has its rms: the dynamics are linear and lack it, so it is missing in the force"
-        )
+        size = f"{abs(self.size):.3g} {unit} (u = {self.u:.2g} {unit})"
         if self.of_spring:
+            text = (
+                f"{component} shows {self.kind}: where the load has its rms, the spring bends as under {size} "
+                f"{'less' if self.size > 0 else 'more'} than in proportion; the dynamics are linear, so the inertia "
+                "of that is missing in the force"
+            )
             advice = "look for what touches or is loose: stops, seals, a joint; keep to loads at which it is linear"
             return Doubt("not linear", component, text, advice, effect, unit)
+        text = (
+            f"{component} shows {self.kind}, a force of {size} where the motion has its rms: the dynamics are linear "
+            "and lack it, so it is missing in the force"
+        )
         advice = "look for what touches or rubs: cables, seals, a fouled gap; identify with releases of several sizes"
         return Doubt("not linear", component, text, advice, effect, unit)
 
