@@ -135,6 +135,14 @@ def test_a_smooth_load_shows_no_mode_and_no_change(rng):
     assert evidence < 30
 
 
+@pytest.mark.parametrize("edge", [40.0, 60.0, 90.0])  # 60 Hz is within the resonance, of which the edge cuts a part
+def test_the_edge_of_a_load_is_no_mode(edge, rng):
+    frequency = np.fft.rfftfreq(22_000, 1 / RATE)
+    force = np.fft.rfft(rng.normal(0, 30.0, 22_000)) * (frequency < edge)
+    load = np.fft.irfft(force * BARE.response(frequency)) + rng.normal(0, 2.0, 22_000)
+    assert missing_mode(averaged(load), BARE) is None
+
+
 def test_a_changed_spring_is_told_under_a_broadband_load(rng):
     truth = replace(BARE, stiffness=1.08 * BARE.stiffness)
     found = own_resonance(averaged(shaken(truth, rng).channel("AF").values), BARE)

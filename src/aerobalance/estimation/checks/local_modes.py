@@ -48,6 +48,8 @@ class LocalModeSettings:
         Gain in twice the log-likelihood that a further mode must bring.
     likely
         Damping ratio from which the search for that of a further mode starts.
+    drops
+        Changes of the logarithm of the load's spectrum at an edge from which the search for one starts.
     heaviest
         Damping ratio above which a peak is the load's and no mode.
     excited
@@ -64,6 +66,7 @@ class LocalModeSettings:
     chance: float = 4.5
     evidence: float = 60.0
     likely: float = 0.008
+    drops: tuple[float, ...] = (-3.0, 3.0)
     heaviest: float = 0.1
     excited: float = 20.0
     misfit: float = 5.0
@@ -164,7 +167,7 @@ class MissingMode(NamedTuple):
 
 
 def missing_mode(seen: Averaged, dynamics: ModalModel) -> MissingMode | None:
-    """The strongest peak that a further mode explains and a smooth load does not.
+    """The strongest peak that a further mode explains, and neither a smooth load nor the edge of its band does.
 
     A narrow band of the load itself looks the same.
     """
@@ -172,28 +175,53 @@ def missing_mode(seen: Averaged, dynamics: ModalModel) -> MissingMode | None:
         band = seen.near(centre)
         if band.size < 16:
             continue
-        plain = _fit(seen, band, lambda _: dynamics, start=np.zeros(0), scale=np.zeros(0))
+        plain = _fit(seen, band, lambda _, f: _power(dynamics, f), start=np.zeros(0), scale=np.zeros(0))
         best: tuple[_LocalFit, Mode] | None = None
         for share in (0.05, -0.05):
 
-            def bent(point: Array, share: float = share) -> ModalModel:
-                mode = Mode(float(np.exp(point[0])), float(np.exp(point[1])), share * float(np.exp(point[2])))
-                return dynamics.with_modes(*dynamics.further_modes, mode)
+            def further(point: Array, share: float = share) -> Mode:
+                return Mode(float(np.exp(point[0])), float(np.exp(point[1])), share * float(np.exp(point[2])))
+
+            def bent(point: Array, frequency: Array, further: Callable[[Array], Mode] = further) -> Array:
+                return _power(dynamics.with_modes(*dynamics.further_modes, further(point)), frequency)
 
             start = np.array([np.log(centre), np.log(SETTINGS.likely), 0.0])
             found = _fit(seen, band, bent, start=start, scale=np.array([0.2 * SETTINGS.likely, 0.3, 0.5]))
             if best is None or found.twice_log_likelihood > best[0].twice_log_likelihood:
-                best = found, bent(found.point).further_modes[-1]
+                best = found, further(found.point)
         if best is None:
             continue
         found, mode = best
         gain = found.twice_log_likelihood - plain.twice_log_likelihood
         width = 2 * mode.damping_ratio * mode.natural_frequency
         inside = abs(mode.natural_frequency / centre - 1) < SETTINGS.band / 2
-        if gain > SETTINGS.evidence and mode.damping_ratio < SETTINGS.heaviest and width > seen.resolution and inside:
+        if (
+            gain > SETTINGS.evidence
+            and mode.damping_ratio < SETTINGS.heaviest
+            and width > seen.resolution
+            and inside
+            and found.twice_log_likelihood - _edge(seen, band, dynamics, mode) > SETTINGS.evidence
+        ):
             relative = np.sqrt(np.diag(found.covariance))  # of the logarithms
             return MissingMode(mode, float(relative[0]) * mode.natural_frequency, float(relative[2]) * abs(mode.share))
     return None
+
+
+def _edge(seen: Averaged, band: NDArray[np.intp], dynamics: ModalModel, mode: Mode) -> float:
+    """Twice the log-likelihood of a load that ends or begins near a mode, at its best."""
+    smooth = seen.resolution / 2
+
+    def ending(point: Array, frequency: Array) -> Array:
+        away = np.clip((frequency - point[0]) / smooth, -30, 30)
+        return _power(dynamics, frequency) * np.exp(point[1] / (1 + np.exp(-away)))
+
+    scale = np.array([2 * seen.resolution, 1.0])
+    starts = (np.array([mode.natural_frequency, drop]) for drop in SETTINGS.drops)
+    return max(_fit(seen, band, ending, start=start, scale=scale).twice_log_likelihood for start in starts)
+
+
+def _power(dynamics: ModalModel, frequency: Array) -> Array:
+    return np.asarray(np.abs(dynamics.response(frequency)) ** 2)
 
 
 def own_resonance(seen: Averaged, dynamics: ModalModel) -> tuple[Array, Array, float] | None:
@@ -218,8 +246,9 @@ def own_resonance(seen: Averaged, dynamics: ModalModel) -> tuple[Array, Array, f
         w, ratio = np.exp(point)
         return dynamics.retuned(frequency=float(w), damping=float(ratio))
 
-    plain = _fit(seen, band, lambda _: dynamics, start=np.zeros(0), scale=np.zeros(0))
-    found = _fit(seen, band, changed, start=np.zeros(2), scale=np.array([0.3 * dynamics.damping_ratio, 0.2]))
+    plain = _fit(seen, band, lambda _, f: _power(dynamics, f), start=np.zeros(0), scale=np.zeros(0))
+    scale = np.array([0.3 * dynamics.damping_ratio, 0.2])
+    found = _fit(seen, band, lambda point, f: _power(changed(point), f), start=np.zeros(2), scale=scale)
     moved, ratio = np.exp(np.clip(found.point, -700, 700)) * (1.0, dynamics.damping_ratio)
     if (
         found.misfit > SETTINGS.misfit or abs(moved - 1) > SETTINGS.band or ratio >= 1
@@ -256,20 +285,23 @@ def _peaks(seen: Averaged, dynamics: ModalModel) -> list[float]:
 
 
 def _fit(
-    seen: Averaged, band: NDArray[np.intp], model: Callable[[Array], ModalModel], *, start: Array, scale: Array
+    seen: Averaged, band: NDArray[np.intp], power: Callable[[Array, Array], Array], *, start: Array, scale: Array
 ) -> _LocalFit:
-    """Maximum likelihood over a band; level and slope of the force's spectrum come after the given parameters."""
+    """Maximum likelihood over a band; level and slope of the force's spectrum come after the given parameters.
+
+    `power` gives the square of the response, at frequencies, that the parameters stand for.
+    """
     centre = float(seen.frequency[band].mean())
     frequency = seen.fine(band)
     log_ratio = np.log(np.maximum(frequency, seen.resolution) / centre)
     weight = seen.averages * SETTINGS.independent
 
     def expected(point: Array) -> Array:
-        transfer = np.abs(model(point[: start.size]).response(frequency)) ** 2
+        transfer = power(point[: start.size], frequency)
         force = np.exp(np.clip(point[start.size] + point[start.size + 1] * np.clip(log_ratio, -1, 1), -690, 690))
         return smeared(transfer * force + seen.noise)
 
-    level0 = float(np.median(seen.power[band] / np.abs(model(start).response(seen.frequency[band])) ** 2))
+    level0 = float(np.median(seen.power[band] / power(start, seen.frequency[band])))
     origin = np.concatenate([start, [np.log(max(level0, 1e-300)), 0.0]])
     size = np.concatenate([scale, [0.3, 1.0]])
 
