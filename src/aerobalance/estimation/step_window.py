@@ -71,7 +71,7 @@ class ShiftedShapes:
         """Return the shapes for a reading and its filter."""
         count = reading.values.size
         time = reading.interval * np.arange(count, dtype=np.float64)
-        motions = [part for mode in reading.dynamics.modes for part in _free_motions(mode, time)]
+        motions = [part for mode in reading.dynamics.modes for part in free_motions(mode, time)]
         shapes = np.column_stack([np.ones(count), time / time[-1], *motions])
         points = np.unique(np.linspace(0, count - 1, min(POINTS * shapes.shape[1], count)).astype(int))
         whitened = np.ascontiguousarray(filter_.settled.whiten(shapes).T)
@@ -195,7 +195,7 @@ class StepWindow:
             self._told = np.zeros(0)
             return
         after = interval * np.arange(count - edge, dtype=np.float64)
-        motions = [part for mode in self.reading.dynamics.modes for part in _free_motions(mode, after)]
+        motions = [part for mode in self.reading.dynamics.modes for part in free_motions(mode, after)]
         shapes = np.column_stack([np.ones(after.size), *motions])
         points = np.unique(np.linspace(0, after.size - 1, min(POINTS * number, after.size)).astype(int))
         alone = edge - first
@@ -208,7 +208,7 @@ class StepWindow:
         self._gram, self._told = white.T @ white, white.T @ self.left
 
 
-def _free_motions(mode: Mode, time: Array) -> tuple[Array, Array]:
+def free_motions(mode: Mode, time: Array) -> tuple[Array, Array]:
     """Two motions whose linear combinations are all free motions of a mode, shape (n,) each [1; s]."""
     p, q = mode.poles
     one, other = np.exp(p * time), np.exp(q * time)

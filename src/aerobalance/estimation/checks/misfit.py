@@ -24,6 +24,7 @@ from aerobalance.estimation.independent_record import SingleRecord
 from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.record import FEWEST_SAMPLES, ComponentRecord
 from aerobalance.estimation.spectra.line_noise import Line, reading_of_lines
+from aerobalance.estimation.step_window import free_motions
 from aerobalance.estimation.steps import Step, columns_of
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
@@ -318,8 +319,10 @@ def unbroken(
 
 
 def without_steps(reading: Observation, steps: Sequence[Step]) -> Array:
-    """Reading less the mean, the steps and the free motion that explain it best, shape (n,)."""
-    columns = columns_of(list(steps), reading)
+    """Reading less the mean, the steps and the free oscillation from its begin that explain it best, shape (n,)."""
+    time = np.arange(reading.values.size) * reading.interval
+    oscillations = [part for mode in reading.dynamics.modes for part in free_motions(mode, time)]
+    columns = np.column_stack([columns_of(list(steps), reading), *oscillations])
     sizes, *_ = np.linalg.lstsq(columns, reading.values, rcond=None)
     return np.asarray(reading.values - columns @ sizes)
 

@@ -154,9 +154,10 @@ def spoken_for(
     learned
         What was learned of force and noise; None if nothing was.
     steps, beside_steps
-        Steps that were found in them, and what the readings are without some of these with some dynamics, shape (n,)
-        [N]. The ringing after steps tells more of a resonance near the expected one (`change_by_steps`). And a load of
-        many steps has a spectrum of many lines, each of which may look like a resonance.
+        Steps that were found in them, and what the readings are without some of these and without the free oscillation
+        from their begin with some dynamics, shape (n,) [N]. The ringing after steps tells more of a resonance near the
+        expected one (`change_by_steps`). And a load of many steps has a spectrum of many lines, each of which may look
+        like a resonance.
     """
     values = values[: EVIDENCE.samples]
     evidence = Evidence(values - values.mean(), interval, least_noise**2 * interval)
@@ -185,7 +186,7 @@ def spoken_for(
         if with_steps[0] > max(*with_steps[1:], evidence.of(clear.dynamics)) + SETTINGS.by_steps:
             clear = None
     if clear is None and near is not None:
-        clear = _beside(evidence, dynamics, near, own=own, confirmed=confirmed)
+        clear = _beside(evidence, dynamics, near, own=own, confirmed=confirmed, beside_steps=beside_steps)
     return clear
 
 
@@ -210,15 +211,28 @@ def _clearest(
     return None if spoken.gain < (SETTINGS.decisive_far if far else SETTINGS.decisive) else spoken
 
 
-def _beside(evidence: Evidence, dynamics: Dynamics, near: Dynamics, *, own: float, confirmed: float) -> Spoken | None:
+def _beside(
+    evidence: Evidence,
+    dynamics: Dynamics,
+    near: Dynamics,
+    *,
+    own: float,
+    confirmed: float,
+    beside_steps: Callable[[Dynamics, Sequence[Step]], Array] | None,
+) -> Spoken | None:
     """The dynamics with a resonance beside the expected one, and how probable they are; None where they are not.
 
-    Nothing is paid for their two numbers: a resonance is looked for where one is known to be.
+    Nothing is paid for their two numbers: a resonance is looked for where one is known to be. A free oscillation with
+    which the record begins tells of it by its course alone: decaying, it has no spectrum of a steady one, and under
+    the window it looks hardly damped.
     """
     if evidence.of(near) - own < SETTINGS.worth_a_look:
         return None
     other = _best_near(evidence, "natural frequency", dynamics, near)
     gain = evidence.of(other) - own
+    if gain >= SETTINGS.open_from and beside_steps is not None:
+        without = [_evidence_beside(evidence, beside_steps(one, ()), one, ()) for one in (dynamics, other)]
+        gain = min(gain, without[1] - without[0])
     if gain < SETTINGS.open_from:
         return None
     spoken = _named(Spoken("natural frequency", other, gain), evidence, dynamics, confirmed=confirmed)
