@@ -72,7 +72,8 @@ print("                   truth        found           u")
 print(f"cut at [s]  {release:12.6f} {instant:12.6f} {step.instant_uncertainty:11.6f}")
 print(f"change [N]  {-UNKNOWN:12.2f} {change:12.2f} {step.height_uncertainty:11.2f}")
 
-near = (time > release) & (time < release + AFTER)
+# a sample within the uncertainty of the instant may lie on either side of the cut
+near = (time > release + 5 * step.instant_uncertainty) & (time < release + AFTER)
 ways = {"force": force.values, "low pass": low_pass, "reading": reading}
 largest = {
     name: float(np.max(np.abs(values - test.applied)[near]))

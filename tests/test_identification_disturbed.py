@@ -208,7 +208,12 @@ def test_two_modes_that_beat_are_no_friction(share, rng):
     assert "amplitude dependence" not in kinds(fit)
     truth = sorted([(T128.natural_frequency, 1 - share), (other.natural_frequency, share)])
     found = sorted((mode.natural_frequency, mode.share) for mode in fit.dynamics.modes)
-    assert np.array(found) == pytest.approx(np.array(truth), rel=0.02)
+    u, u_share = (fit.dynamics.uncertainty(name) for name in ("natural_frequency_2", "share_2"))
+    # in a decay of 0.4 s, 700 readings with 5 N of noise tell 1020 N to 0.04 % where one mode rings; of a beat of
+    # 1.5 s they show a part, so that two modes are told some times worse
+    assert u_share < 0.005
+    assert np.array(found)[:, 0] == pytest.approx(np.array(truth)[:, 0], abs=5 * u)
+    assert np.array(found)[:, 1] == pytest.approx(np.array(truth)[:, 1], abs=5 * u_share)
     assert "close modes" in kinds(quietly(recording))
 
 
