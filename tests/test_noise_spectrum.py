@@ -5,7 +5,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal
 
-from aerobalance.estimation.spectra import noise_record
+from aerobalance.estimation.spectra import noise_ordinates, noise_record
 from aerobalance.estimation.spectra.noise_record import noise_spectrum_of
 from aerobalance.estimation.spectra.noise_spectrum import EXPONENTS, ColoredNoise, Hump, NoiseSpectrum
 from aerobalance.estimation.statespace.kalman import KalmanFilter, StateSpace
@@ -68,7 +68,7 @@ def test_likelihood_is_that_of_the_covariance(rng):
 
 
 def test_slopes_of_the_density_are_its_differences(rng):
-    seen = noise_record.Ordinates.of(rng.normal(0, 2, 4000), T128, interval=1 / RATE)
+    seen = noise_ordinates.Ordinates.of(rng.normal(0, 2, 4000), T128, interval=1 / RATE)
     point = np.concatenate([np.log([WHITE, 10 * WHITE]), [1.3], np.log([300.0, 0.4, 2 * WHITE, 500.0, 1.5, WHITE])])
     slopes, small = noise_record.slopes_of(point, seen), 1e-5
     for place, slope in enumerate(slopes):
@@ -172,7 +172,7 @@ def test_what_is_no_record_of_noise_is_refused(monkeypatch, rng):
         noise_spectrum_of(rng.normal(size=400), T128, interval=1 / RATE)
     with pytest.raises(FitError, match="does not change"):
         noise_spectrum_of(np.full(4000, 3.0), T128, interval=1 / RATE)
-    monkeypatch.setattr(noise_record, "STRENGTHENED", 0.5)
+    monkeypatch.setattr(noise_ordinates, "STRENGTHENED", 0.5)
     with pytest.raises(FitError, match="nothing is left"):
         # up to 45 Hz the T-128 weakens no force
         noise_spectrum_of(rng.normal(size=1000), T128, interval=1 / 90.0)

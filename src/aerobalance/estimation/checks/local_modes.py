@@ -213,7 +213,7 @@ def _edge(seen: Averaged, band: NDArray[np.intp], dynamics: ModalModel, mode: Mo
 
     def ending(point: Array, frequency: Array) -> Array:
         away = np.clip((frequency - point[0]) / smooth, -30, 30)
-        return _power(dynamics, frequency) * np.exp(point[1] / (1 + np.exp(-away)))
+        return np.asarray(_power(dynamics, frequency) * np.exp(point[1] / (1 + np.exp(-away))))
 
     scale = np.array([2 * seen.resolution, 1.0])
     starts = (np.array([mode.natural_frequency, drop]) for drop in SETTINGS.drops)

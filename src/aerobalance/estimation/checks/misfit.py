@@ -320,7 +320,7 @@ def unbroken(
 
 def without_steps(reading: Observation, steps: Sequence[Step]) -> Array:
     """Reading less the mean, the steps and the free oscillation from its begin that explain it best, shape (n,)."""
-    time = np.arange(reading.values.size) * reading.interval
+    time = np.arange(reading.values.size, dtype=np.float64) * reading.interval
     oscillations = [part for mode in reading.dynamics.modes for part in free_motions(mode, time)]
     columns = np.column_stack([columns_of(list(steps), reading), *oscillations])
     sizes, *_ = np.linalg.lstsq(columns, reading.values, rcond=None)

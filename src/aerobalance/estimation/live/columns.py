@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.estimation.live.platform import LiveChannel, LivePlatform
@@ -58,6 +59,40 @@ class Columns:
     noises: list[float | None]
     pitch: int | None
     roll: int | None
+
+    def readings(self, block: ArrayLike | Mapping[str, ArrayLike]) -> Array:
+        """Return the columns of a block that are used, shape (m, c).
+
+        Parameters
+        ----------
+        block
+            Columns by name, shape (m,) each, or shape (m, all of them) in their order; (m,) for a single one.
+
+        Raises
+        ------
+        ValueError
+            A column is lacking, or they are not equally long.
+        """
+        if isinstance(block, Mapping):
+            lacking = [name for name in self.names if name not in block]
+            if lacking or len(block) < len(self.all_names):
+                raise ValueError(
+                    f"a block lacks {', '.join(lacking) or 'columns'}; every block must have the same columns as the "
+                    f"first: {', '.join(self.all_names)}"
+                )
+            parts = [np.asarray(block[name], dtype=np.float64) for name in self.names]
+            if any(part.shape != parts[0].shape or part.ndim != 1 for part in parts):
+                shapes = ", ".join(f"{name} {part.shape}" for name, part in zip(self.names, parts, strict=True))
+                raise ValueError(f"the columns of a block must have equally many samples, shape (m,), not {shapes}")
+            return np.column_stack(parts)
+        table = np.asarray(block, dtype=np.float64)
+        table = table[:, None] if table.ndim == 1 else table
+        if table.ndim != 2 or table.shape[1] != len(self.all_names):
+            raise ValueError(
+                f"a block must have a column for each of {', '.join(self.all_names)}: shape "
+                f"(m, {len(self.all_names)}), not {np.shape(block)}"
+            )
+        return np.ascontiguousarray(table[:, self.places])
 
     @classmethod
     def of(

@@ -338,29 +338,9 @@ class LiveForce:
         """Columns that are used, shape (m, ...): loads, sensors of the non-metric end, angles."""
         if self._columns is None:
             self._set_up(list(block) if isinstance(block, Mapping) else self.components)
-        columns = self._columns
-        if columns is None:
+        if self._columns is None:
             raise AssertionError
-        if isinstance(block, Mapping):
-            lacking = [name for name in columns.names if name not in block]
-            if lacking or len(block) < len(columns.all_names):
-                raise ValueError(
-                    f"a block lacks {', '.join(lacking) or 'columns'}; every block must have the same columns as the "
-                    f"first: {', '.join(columns.all_names)}"
-                )
-            parts = [np.asarray(block[name], dtype=np.float64) for name in columns.names]
-            if any(part.shape != parts[0].shape or part.ndim != 1 for part in parts):
-                shapes = ", ".join(f"{name} {part.shape}" for name, part in zip(columns.names, parts, strict=True))
-                raise ValueError(f"the columns of a block must have equally many samples, shape (m,), not {shapes}")
-            return np.column_stack(parts)
-        table = np.asarray(block, dtype=np.float64)
-        table = table[:, None] if table.ndim == 1 else table
-        if table.ndim != 2 or table.shape[1] != len(columns.all_names):
-            raise ValueError(
-                f"a block must have a column for each of {', '.join(columns.all_names)}: shape "
-                f"(m, {len(columns.all_names)}), not {np.shape(block)}"
-            )
-        return np.ascontiguousarray(table[:, columns.places])
+        return self._columns.readings(block)
 
     def _without_saturated(self, rows: Array) -> Array:
         """Count readings, and take those at a limit as missing."""

@@ -14,7 +14,8 @@ import numpy as np
 from scipy.special import expit
 
 from aerobalance.estimation.prior import Observation, SpectralPrior, periodogram_of
-from aerobalance.estimation.spectra.noise_record import Ordinates, likeliest_slow
+from aerobalance.estimation.spectra.noise_ordinates import Ordinates
+from aerobalance.estimation.spectra.noise_record import likeliest_slow
 from aerobalance.estimation.spectra.noise_spectrum import SLOWEST, NoiseSpectrum
 from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum, share_seen
 from aerobalance.estimation.spectra.whittle import SpectrumFit, evidence_of, fit_spectrum
