@@ -103,6 +103,21 @@ class _Signal(NamedTuple):
     rate: Fraction
 
 
+class OpendaqMemory(NamedTuple):
+    """What a process that reads a device has to know of the one before it.
+
+    Attributes
+    ----------
+    channels
+        The channels.
+    clock
+        By which samples are numbered.
+    """
+
+    channels: tuple[SourceChannel, ...]
+    clock: DomainClock
+
+
 class OpendaqSource(Device):
     """Signals of an openDAQ device, read together.
 
@@ -116,6 +131,8 @@ class OpendaqSource(Device):
         The signals wanted, by name, or by path where names are not unique; all that can be read where left out.
     block
         Length of a block [s].
+    memory
+        What a process before this one knew of the device, which need not be there then.
 
     Raises
     ------
@@ -124,7 +141,14 @@ class OpendaqSource(Device):
         signals do not share one rate.
     """
 
-    def __init__(self, address: str, *, names: Sequence[str] | None = None, block: float = 0.02) -> None:
+    def __init__(
+        self,
+        address: str,
+        *,
+        names: Sequence[str] | None = None,
+        block: float = 0.02,
+        memory: OpendaqMemory | None = None,
+    ) -> None:
         super().__init__()
         self.address = address
         self._daq = extra_library("opendaq", extra="opendaq")
@@ -136,23 +160,32 @@ class OpendaqSource(Device):
         builder.global_log_level = self._daq.LogLevel.Off
         self._instance = builder.build()
         self._names = None if names is None else tuple(names)
-        signals = self._connect()
-        self.channels = tuple(signal.channel for signal in signals)
-        exact = signals[0].rate
-        self.rate = float(exact)
+        if memory is None:
+            signals = self._connect()
+            exact = signals[0].rate
+            memory = OpendaqMemory(tuple(signal.channel for signal in signals), DomainClock(exact, 1 / exact))
+        else:
+            self._names = tuple(channel.name for channel in memory.channels)
+        self.channels, self._clock = memory
+        self.rate = float(self._clock.rate)
         self._rows = max(1, round(block * self.rate))
-        self._clock = DomainClock(exact, 1 / exact)
         self.description = f"openDAQ device {address}, {self.rate:g} Hz"
 
+    @property
+    def memory(self) -> OpendaqMemory:
+        """What a process after this one has to know."""
+        return OpendaqMemory(self.channels, self._clock)
+
     def start(self) -> None:
-        """Begin to read.
+        """Begin to read; where another process has read before, once the device is there.
 
         Raises
         ------
         FitError
             The signals cannot be read together.
         """
-        self._read_all(self._connect() if self._device is None else self._chosen())
+        if self._device is not None:
+            self._read_all(self._chosen())
 
     def stop(self) -> None:
         """Disconnect."""
