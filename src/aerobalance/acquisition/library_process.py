@@ -1,9 +1,9 @@
 """A device whose library runs in a process of its own, and is started again there where it crashes.
 
 Libraries of devices are compiled, and have threads of their own: an error in one of these ends its process, whatever
-the program does (openDAQ 3.40 did so in one of 240 restarts of a device). In a process of its own it takes neither the
-receivers of the source with it nor what the source knows of the device: the library that is started again is told from
-which instant samples are numbered, so that the gap has its exact length.
+the program does (openDAQ 3.40 where a device is removed while its connection is being mended). In a process of its own
+it takes neither the receivers of the source with it nor what the source knows of the device: the library that is
+started again is told from which instant samples are numbered, so that the gap has its exact length.
 """
 
 from __future__ import annotations

@@ -272,13 +272,16 @@ class OpendaqSource(Device):
         self._heard = time.monotonic()
 
     def _again(self, timeout: float) -> None:
-        """Try to connect anew, not too often."""
+        """Try to read anew, not too often: over the connection there is, which may mend itself, or over a new one."""
         if not self._due(timeout):
             return
         with contextlib.suppress(FitError, RuntimeError):
-            signals = self._connect()
+            signals = self._connect() if self._device is None else self._chosen()
             self._check_rate(signals)
             self._read_all(signals)
+            return
+        if self._device is not None and time.monotonic() - self._heard > QUIET:
+            self._lost_for_long()
 
     def _check_rate(self, signals: Sequence[_Signal]) -> None:
         """End where the device has been set to another rate: a record has one."""
@@ -292,13 +295,17 @@ class OpendaqSource(Device):
         self._note(text)
         self._disconnect()
 
+    def _lost_for_long(self) -> None:
+        self._lost(f"no samples for {QUIET:g} s; the connection to {self.address} was made anew")
+
     def _read_anew(self, text: str) -> None:
-        """Begin to read anew over the same connection."""
+        """Begin to read anew, at the next reading, over the same connection.
+
+        Where the library has just mended that, it may not have all signals yet. The device stays, as one that is
+        removed meanwhile ends the process: a thread of the library looks for it to tell it that it is connected.
+        """
         self._note(text)
-        try:
-            self._read_all(self._chosen())
-        except (FitError, RuntimeError):
-            self._disconnect()
+        self._reader = None
 
     def _fetch(self, timeout: float) -> None:
         """Read what there is, up to the rows of a block."""
@@ -311,7 +318,7 @@ class OpendaqSource(Device):
                 # one signal alone comes without the axis of signals
                 self._take(np.atleast_2d(values), np.atleast_2d(ticks), now)
             elif now - self._heard > QUIET:
-                self._lost(f"no samples for {QUIET:g} s; the connection to {self.address} was made anew")
+                self._lost_for_long()
             elif not self._connected():
                 self._note(f"the connection to {self.address} was lost and made again")
             # What has changed holds from the next samples on.
@@ -319,7 +326,10 @@ class OpendaqSource(Device):
             if not status.valid:
                 self._read_anew("the signals changed and were read anew")
         except (RuntimeError, FitError) as problem:
-            self._lost(f"the connection to {self.address} was made anew after an error: {problem}")
+            if self._connected():
+                self._lost(f"the connection to {self.address} was made anew after an error: {problem}")
+            else:
+                self._read_anew(f"the signals were read anew after an error: {problem}")
 
     def _follow(self) -> None:
         """Take over the resolution and the origin that all signals are put on."""
@@ -329,7 +339,10 @@ class OpendaqSource(Device):
         self._clock.origin = origin_of(self._reader.origin)
 
     def _connected(self) -> bool:
-        states = dict(self._device.connection_status_container.statuses).values()
+        try:
+            states = dict(self._device.connection_status_container.statuses).values()
+        except RuntimeError:
+            return False
         return all(str(state).endswith(".Connected") for state in states)
 
     def _take(self, values: Array, ticks: NDArray[np.int64], now: float) -> None:
