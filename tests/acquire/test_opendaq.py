@@ -94,12 +94,14 @@ def test_server_that_is_killed_and_started_again_leaves_a_gap_of_its_exact_lengt
             assert before.gaps == 0
             server.kill()
             again.listen()
-            follow(recorder, lambda progress: progress.gaps == 1 and progress.samples > before.samples + 40_000)
+            follow(recorder, lambda progress: progress.gaps and progress.samples > before.samples + 40_000)
             progress = recorder.stop("enough")
     assert progress.reason == "enough"
     ticks = checked_ticks(file, server, again)
-    (gap,) = contents(file).gaps
-    assert gap["samples"] == progress.lost == ticks[-1] + 1 - ticks[0] - len(ticks)
+    # on a busy machine the signals may be read anew once more, after the first samples: another gap, as exact
+    gap, *more = contents(file).gaps
+    missing = gap["samples"] + sum(other["samples"] for other in more)
+    assert missing == progress.lost == ticks[-1] + 1 - ticks[0] - len(ticks)
     assert b"lost and made again" in gap["text"]
 
 
@@ -133,15 +135,17 @@ def test_library_that_crashes_is_started_again_and_the_gap_has_its_exact_length(
             before = follow(recorder, lambda progress: progress.seconds > 1.5)
             library = library_of(session)
             os.kill(library, how)
-            follow(recorder, lambda progress: progress.gaps == 1 and progress.samples > before.samples + 40_000)
+            follow(recorder, lambda progress: progress.gaps and progress.samples > before.samples + 40_000)
             second = library_of(session)
             progress = recorder.stop("enough")
         assert gone(second)
     assert second != library
     assert progress.reason == "enough"
     ticks = checked_ticks(file, server)
-    (gap,) = contents(file).gaps
-    assert gap["samples"] == progress.lost == ticks[-1] + 1 - ticks[0] - len(ticks)
+    # on a busy machine the signals may be read anew once more, after the first samples: another gap, as exact
+    gap, *more = contents(file).gaps
+    missing = gap["samples"] + sum(other["samples"] for other in more)
+    assert missing == progress.lost == ticks[-1] + 1 - ticks[0] - len(ticks)
     assert f"the library of the device crashed ({how.name}); it was started again".encode() in gap["text"]
 
 
@@ -209,7 +213,7 @@ def test_record_across_a_restart_gives_info_and_force(tmp_path) -> None:
             server.kill()
             again.listen()
             assert f"on port {port} of all addresses" in again.first
-            follow(recorder, lambda progress: progress.gaps == 1 and progress.samples > 1250)
+            follow(recorder, lambda progress: progress.gaps and progress.samples > 1250)
             progress = recorder.stop("enough")
         again.process.terminate()
         out, err = again.process.communicate(timeout=60)
@@ -217,7 +221,7 @@ def test_record_across_a_restart_gives_info_and_force(tmp_path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)
         account = recordings.info(file)
-        assert len(account["gaps"]) == 1
+        assert account["gaps"]
         assert account["channels"]["AF"]["unit"] == "N"
         recording = read(file)
         given = estimate_force(recording, CABLE_CUT.dynamics).only.values
