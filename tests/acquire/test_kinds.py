@@ -101,6 +101,9 @@ def test_place_axis_and_skew_are_in_the_recording(tmp_path) -> None:
 
 @pytest.mark.parametrize(("text", "module"), [(OPENDAQ, "opendaq"), (NI, "nidaqmx")])
 def test_without_the_library_it_is_said_how_to_install_it(text, module, tmp_path, monkeypatch) -> None:
+    # neither in this process nor in one that it starts for the library
     monkeypatch.setitem(sys.modules, module, None)
+    (tmp_path / f"{module}.py").write_text(f"raise ModuleNotFoundError(name={module!r})\n", encoding="utf-8")
+    monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(FitError, match=rf"pip install 'aerobalance\[{module}\]'"):
         open_source(parse_setup(text), tmp_path)

@@ -5,6 +5,7 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 from aerobalance.io import read
 from aerobalance.io.hdf5_contents import contents
@@ -18,6 +19,44 @@ def follow(recorder, enough, seconds=120.0):
         assert time.monotonic() < limit, recorder.progress
         assert not recorder.progress.over, recorder.progress
     return recorder.progress
+
+
+def children(process):
+    """The processes that a process has started and that live, by their numbers."""
+    found = []
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            state, parent = status.read_text(encoding="utf-8", errors="replace").rpartition(")")[2].split()[:2]
+        except OSError:  # gone since
+            continue
+        if int(parent) == process and state != "Z":
+            found.append(int(status.parent.name))
+    return found
+
+
+def library_of(session, seconds=60.0, *, other_than=0):
+    """Wait for the process of the library beneath a source; return its number."""
+    limit = time.monotonic() + seconds
+    while time.monotonic() < limit:
+        found = [number for number in children(session.process.pid) if number != other_than]
+        if found:
+            (number,) = found
+            return number
+        time.sleep(0.01)
+    raise AssertionError("no process of a library")
+
+
+def gone(number, seconds=60.0):
+    """Whether a process ends in time."""
+    limit = time.monotonic() + seconds
+    while time.monotonic() < limit:
+        try:
+            if Path(f"/proc/{number}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()[0] == "Z":
+                return True
+        except OSError:
+            return True
+        time.sleep(0.05)
+    return False
 
 
 def blocks_of(file):

@@ -1,5 +1,6 @@
 """What a worker process is asked in tests."""
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -9,3 +10,8 @@ def tell_threads(pipe):
     """Send how many threads a large product of matrices leaves in this process."""
     np.ones((600, 600)) @ np.ones((600, 600))
     pipe.send(len(list(Path("/proc/self/task").iterdir())))
+
+
+def crash(*, memory):
+    """A device whose library ends its process."""
+    os.abort()

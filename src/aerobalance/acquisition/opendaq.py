@@ -103,6 +103,21 @@ class _Signal(NamedTuple):
     rate: Fraction
 
 
+class OpendaqMemory(NamedTuple):
+    """What a process that reads a device has to know of the one before it.
+
+    Attributes
+    ----------
+    channels
+        The channels.
+    clock
+        By which samples are numbered.
+    """
+
+    channels: tuple[SourceChannel, ...]
+    clock: DomainClock
+
+
 class OpendaqSource(Device):
     """Signals of an openDAQ device, read together.
 
@@ -116,6 +131,8 @@ class OpendaqSource(Device):
         The signals wanted, by name, or by path where names are not unique; all that can be read where left out.
     block
         Length of a block [s].
+    memory
+        What a process before this one knew of the device, which need not be there then.
 
     Raises
     ------
@@ -124,7 +141,14 @@ class OpendaqSource(Device):
         signals do not share one rate.
     """
 
-    def __init__(self, address: str, *, names: Sequence[str] | None = None, block: float = 0.02) -> None:
+    def __init__(
+        self,
+        address: str,
+        *,
+        names: Sequence[str] | None = None,
+        block: float = 0.02,
+        memory: OpendaqMemory | None = None,
+    ) -> None:
         super().__init__()
         self.address = address
         self._daq = extra_library("opendaq", extra="opendaq")
@@ -136,23 +160,32 @@ class OpendaqSource(Device):
         builder.global_log_level = self._daq.LogLevel.Off
         self._instance = builder.build()
         self._names = None if names is None else tuple(names)
-        signals = self._connect()
-        self.channels = tuple(signal.channel for signal in signals)
-        exact = signals[0].rate
-        self.rate = float(exact)
+        if memory is None:
+            signals = self._connect()
+            exact = signals[0].rate
+            memory = OpendaqMemory(tuple(signal.channel for signal in signals), DomainClock(exact, 1 / exact))
+        else:
+            self._names = tuple(channel.name for channel in memory.channels)
+        self.channels, self._clock = memory
+        self.rate = float(self._clock.rate)
         self._rows = max(1, round(block * self.rate))
-        self._clock = DomainClock(exact, 1 / exact)
         self.description = f"openDAQ device {address}, {self.rate:g} Hz"
 
+    @property
+    def memory(self) -> OpendaqMemory:
+        """What a process after this one has to know."""
+        return OpendaqMemory(self.channels, self._clock)
+
     def start(self) -> None:
-        """Begin to read.
+        """Begin to read; where another process has read before, once the device is there.
 
         Raises
         ------
         FitError
             The signals cannot be read together.
         """
-        self._read_all(self._connect() if self._device is None else self._chosen())
+        if self._device is not None:
+            self._read_all(self._chosen())
 
     def stop(self) -> None:
         """Disconnect."""
@@ -239,13 +272,16 @@ class OpendaqSource(Device):
         self._heard = time.monotonic()
 
     def _again(self, timeout: float) -> None:
-        """Try to connect anew, not too often."""
+        """Try to read anew, not too often: over the connection there is, which may mend itself, or over a new one."""
         if not self._due(timeout):
             return
         with contextlib.suppress(FitError, RuntimeError):
-            signals = self._connect()
+            signals = self._connect() if self._device is None else self._chosen()
             self._check_rate(signals)
             self._read_all(signals)
+            return
+        if self._device is not None and time.monotonic() - self._heard > QUIET:
+            self._lost_for_long()
 
     def _check_rate(self, signals: Sequence[_Signal]) -> None:
         """End where the device has been set to another rate: a record has one."""
@@ -259,13 +295,17 @@ class OpendaqSource(Device):
         self._note(text)
         self._disconnect()
 
+    def _lost_for_long(self) -> None:
+        self._lost(f"no samples for {QUIET:g} s; the connection to {self.address} was made anew")
+
     def _read_anew(self, text: str) -> None:
-        """Begin to read anew over the same connection."""
+        """Begin to read anew, at the next reading, over the same connection.
+
+        Where the library has just mended that, it may not have all signals yet. The device stays, as one that is
+        removed meanwhile ends the process: a thread of the library looks for it to tell it that it is connected.
+        """
         self._note(text)
-        try:
-            self._read_all(self._chosen())
-        except (FitError, RuntimeError):
-            self._disconnect()
+        self._reader = None
 
     def _fetch(self, timeout: float) -> None:
         """Read what there is, up to the rows of a block."""
@@ -278,7 +318,7 @@ class OpendaqSource(Device):
                 # one signal alone comes without the axis of signals
                 self._take(np.atleast_2d(values), np.atleast_2d(ticks), now)
             elif now - self._heard > QUIET:
-                self._lost(f"no samples for {QUIET:g} s; the connection to {self.address} was made anew")
+                self._lost_for_long()
             elif not self._connected():
                 self._note(f"the connection to {self.address} was lost and made again")
             # What has changed holds from the next samples on.
@@ -286,7 +326,10 @@ class OpendaqSource(Device):
             if not status.valid:
                 self._read_anew("the signals changed and were read anew")
         except (RuntimeError, FitError) as problem:
-            self._lost(f"the connection to {self.address} was made anew after an error: {problem}")
+            if self._connected():
+                self._lost(f"the connection to {self.address} was made anew after an error: {problem}")
+            else:
+                self._read_anew(f"the signals were read anew after an error: {problem}")
 
     def _follow(self) -> None:
         """Take over the resolution and the origin that all signals are put on."""
@@ -296,7 +339,10 @@ class OpendaqSource(Device):
         self._clock.origin = origin_of(self._reader.origin)
 
     def _connected(self) -> bool:
-        states = dict(self._device.connection_status_container.statuses).values()
+        try:
+            states = dict(self._device.connection_status_container.statuses).values()
+        except RuntimeError:
+            return False
         return all(str(state).endswith(".Connected") for state in states)
 
     def _take(self, values: Array, ticks: NDArray[np.int64], now: float) -> None:

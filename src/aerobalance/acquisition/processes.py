@@ -3,12 +3,16 @@
 Loading the libraries takes each of them one to three seconds of processor. Where the system can fork safely, they are
 forked from one process that has loaded them; elsewhere each loads them itself. Either way each is a process of its
 own, which may be killed and keeps no thread, lock or file of the program that started it.
+
+The library of a device that may crash is beneath the source, which may start no forked process itself: it has an
+interpreter of its own, which loads little else.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import os
+import subprocess
 import sys
 import threading
 from multiprocessing.connection import Connection
@@ -63,3 +67,11 @@ def start_worker(target: Callable[..., None], *arguments: object) -> BaseProcess
             for name in made:
                 del os.environ[name]
     return process
+
+
+def start_interpreter(module: str) -> subprocess.Popen[bytes]:
+    """Return an interpreter that runs `main` of a module, started; pipes are its standard input and output."""
+    command = f"import sys; sys.path[:] = {sys.path!r}; from {module} import main; main()"
+    environment = {**os.environ, **settings_of_process(os.environ)}
+    pipe = subprocess.PIPE
+    return subprocess.Popen([sys.executable, "-c", command], stdin=pipe, stdout=pipe, env=environment)

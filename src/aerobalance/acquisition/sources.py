@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from aerobalance.acquisition.setup import Setup
@@ -66,9 +67,11 @@ def _replay(settings: Replay, folder: Path) -> Source:
 
 
 def _opendaq(settings: Opendaq, inputs: Sequence[str]) -> Source:
+    from aerobalance.acquisition.library_process import LibraryProcess  # noqa: PLC0415
     from aerobalance.acquisition.opendaq import OpendaqSource  # noqa: PLC0415
 
-    return OpendaqSource(settings.address, names=tuple(dict.fromkeys(inputs)) or None, block=settings.block)
+    names = tuple(dict.fromkeys(inputs)) or None
+    return LibraryProcess(partial(OpendaqSource, settings.address, names=names, block=settings.block))
 
 
 def _nidaqmx(settings: Nidaqmx) -> Source:
