@@ -1,4 +1,4 @@
-"""Records of single components of a recording whose components are not coupled, as the estimator takes them."""
+"""Input of the force estimator for components that are not coupled: readings, dynamics, motion of the ground end."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from aerobalance.recording.sensors import corrected
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SingleRecord(ComponentRecord):
-    """One component that is not coupled with others, with the ground's motion along it.
+    """Readings of one component that is not coupled with others, with the motion of the ground end along it.
 
     Attributes
     ----------
@@ -55,7 +55,7 @@ class SingleRecord(ComponentRecord):
     def of(
         cls, recording: Recording, dynamics: Dynamics, motion: GroundMotion, *, noise: NoiseSpectrum | None = None
     ) -> SingleRecord:
-        """Return the record of a recording as it was written; the effect of its channels' filters is removed."""
+        """Return the record of a recording as it was written, corrected for the filters of its channels."""
         return cls(corrected(recording), dynamics, motion, noise=noise)
 
     @property
@@ -84,11 +84,11 @@ class SingleRecord(ComponentRecord):
     @property
     def motion_force(self) -> Array:
         """Force of the ground's motion on the moving mass at the load's sampling instants, shape (n,) [N]."""
-        known = self.motion.force(self.dynamics.mass) + self.motion_error
+        force = self.motion.force(self.dynamics.mass) + self.motion_error
         lag = self.dynamics.delay + self.recording.channel(self.dynamics.component).delay - self.motion.delay
-        if not lag or not known.any():
-            return known
-        return fractional_delay(known, delay=lag, interval=self.interval)
+        if not lag or not force.any():
+            return force
+        return fractional_delay(force, delay=lag, interval=self.interval)
 
     @property
     def rows(self) -> NDArray[np.intp]:
@@ -106,9 +106,10 @@ class SingleRecord(ComponentRecord):
 
     @property
     def motion_across(self) -> tuple[Array, str] | None:
-        """Cross-axis error [m/s^2] for as much motion across the axis as along it, and the name of its channel.
+        """Error per unit of cross-axis sensitivity, shape (n,) [m/s^2], and the name of the accelerometer's channel.
 
-        None where there is no accelerometer, where its cross-axis sensitivity is stated, or where nothing moves.
+        The motion across the axis is taken as large as that along it. None where there is no accelerometer, where its
+        cross-axis sensitivity is stated, or where nothing moves.
         """
         names = (acceleration_name("ground", self.dynamics.component), "ground_acceleration")
         channel = next((self.recording.channel(name) for name in names if name in self.recording), None)
@@ -123,7 +124,7 @@ class SingleRecord(ComponentRecord):
         return replace(self, motion=motion)
 
     def with_dynamics(self, other: Dynamics) -> SingleRecord:
-        """The record with other dynamics, its readings shifted by the change of the weight in their zero."""
+        """The record with other dynamics; the weight that the zero of its readings contains changes with the mass."""
         shift = (other.mass - self.dynamics.mass) * self.motion.gravity_on_zero
         channel = self.recording.channel(self.dynamics.component)
         moved = replace(channel, values=channel.values + shift)
@@ -140,28 +141,29 @@ class SingleRecord(ComponentRecord):
     ) -> Systematic:
         """Return the error of the force from errors of the parameters [N], by finite differences of the estimator.
 
-        The derivatives of Eq. (17) of [Gorbushin2020]_ would be too large where the smoother's prior has no force at
-        a frequency, and too small where a wrong natural frequency makes a wrong step.
+        The derivatives of Eq. (17) of [Gorbushin2020]_ itself would be too large at frequencies where the smoother's
+        prior has no force, and too small where an error of the natural frequency leads to an error of a step.
         """
         d = self.dynamics
         slopes = np.zeros((self.recording.samples, len(d.parameters)))
         deviations = np.sqrt(np.diag(d.covariance))
-        known = values() if (deviations > 0).any() else np.zeros(0)
+        unchanged = values() if (deviations > 0).any() else np.zeros(0)
         for place, deviation in enumerate(deviations):
             if deviation > 0:
                 changed = d.values
                 changed[place] += PROBE * deviation
                 moved = again(self.with_dynamics(d.with_parameters(changed)))
-                slopes[:, place] = (moved - known) / (PROBE * deviation)
+                slopes[:, place] = (moved - unchanged) / (PROBE * deviation)
         return Systematic(PARAMETERS_NAME, "dynamics", d.parameters, slopes, d.covariance)
 
     def felt_under(self, item: SystematicParameter) -> Array:
         """Balance load per unit of an uncertain parameter of the ground's motion, shape (n,)."""
-        unit, delay = replace(self.motion, specific_force=item.slope), self.recording.channel(self.dynamics.component)
-        return load_from_ground(unit, self.dynamics, rate=self.recording.rate, load_delay=delay.delay)
+        unit = replace(self.motion, specific_force=item.slope)
+        delay = self.recording.channel(self.dynamics.component).delay
+        return load_from_ground(unit, self.dynamics, rate=self.recording.rate, load_delay=delay)
 
     def as_force(self, item: SystematicParameter) -> Array:
-        """Error of the force of a direct inverse per unit of an uncertain parameter of the motion, shape (n,)."""
+        """Error of the force by the direct inverse per unit of an uncertain parameter of the motion, shape (n,)."""
         return self.dynamics.mass * item.slope
 
     @property
@@ -197,16 +199,16 @@ def moves_along_axis(record: ComponentRecord) -> TypeGuard[SingleRecord]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IndependentRecord(BalanceRecord):
-    """A recording of components that are not coupled.
+    """A recording of components that are not coupled, with their dynamics and the motion of the ground end.
 
     Attributes
     ----------
     recording
         The recording.
     dynamics
-        Dynamics of the components that are in it.
+        Dynamics of the components that the recording contains.
     motions
-        Motion of the ground end along each of them.
+        Motion of the ground end along each of these components.
     """
 
     recording: Recording
@@ -222,7 +224,7 @@ class IndependentRecord(BalanceRecord):
         gravity: float = STANDARD_GRAVITY,
         gravity_uncertainty: float = 0.0,
     ) -> IndependentRecord:
-        """Return the record of those components that a recording, as it was written, contains.
+        """Return the record of those components with dynamics that a recording contains, as it was written.
 
         Raises
         ------
@@ -239,7 +241,7 @@ class IndependentRecord(BalanceRecord):
 
     @property
     def from_ground(self) -> Array:
-        """Balance loads due to gravity and the ground's motion alone, on the clock, shape (samples, n) [N]."""
+        """Balance loads due to gravity and the ground's motion alone, on the common clock, shape (samples, n) [N]."""
         parts = [(self.motions[name], part) for name, part in self.dynamics.items()]
         return np.column_stack([load_from_ground(*one, rate=self.recording.rate) for one in parts])
 
@@ -263,7 +265,7 @@ class IndependentRecord(BalanceRecord):
         return filled
 
     def taken_with(self, dynamics: IndependentDynamics, *, noise: Array | None = None) -> IndependentRecord:
-        """The record with other dynamics, of all of its components or of those that are still needed.
+        """The record with other dynamics; those of components that are no longer needed may be left out.
 
         `noise` has no effect, as no force depends on the noise of other components.
         """
@@ -280,7 +282,7 @@ class IndependentRecord(BalanceRecord):
         noise: NoiseSpectrum | None = None,
         shared: SharedNoise | None = None,
     ) -> SingleRecord:
-        """The record of one component, its gaps not filled; `filled` has no effect."""
+        """The record of one component. Its gaps stay: `filled` is of use for coupled components only."""
         return SingleRecord(
             self.recording,
             self.dynamics[component],

@@ -39,12 +39,19 @@ appending: Final = None
 KEEPS_SENSORS: Final = False
 KEEPS_EPOCH: Final = False
 
+# Layout of a segment as in "TDMS File Format Internal Structure" of NI.
 _LEAD_IN: Final = 28
+"""Bytes at the begin of a segment: tag, flags, version, length of the segment and of its metadata."""
+_BIG_ENDIAN: Final = 1 << 6
+"""Flag of a segment in big-endian order."""
+_SCALES: Final = "NI_Number_Of_Scales"
+
+# Bounds beyond which a number comes from damage and would cost memory or overflow, far from any real recording.
 _LATEST: Final = 1 << 33
-_BIG_ENDIAN: Final = 64
+"""Seconds after 1904: the year 2176."""
 _SHORTEST: Final = 1e-12
 _LONGEST: Final = 1e6
-_SCALES: Final = "NI_Number_Of_Scales"
+"""Sampling intervals [s]."""
 _MOST_SCALES: Final = 1000
 _CUT_OFF: Final = "the file was cut off while it was written; what was complete is used, and the end is missing"
 _UNITS: Final = ("unit_string", "NI_UnitDescription")
@@ -52,15 +59,15 @@ _UNITS: Final = ("unit_string", "NI_UnitDescription")
 
 def can_read(head: bytes, path: Path) -> bool:
     """Return whether a file is TDMS, from its first bytes; its name does not matter."""
-    del path
+    del path  # a parameter of every format
     return head.startswith(b"TDSm")
 
 
 def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[str | int] | None = None) -> RawColumns:
-    """Read channels as columns, each with its own clock; only the data of those wanted are read.
+    """Return channels as columns in their own units, each with its clock; only the data of those wanted are read.
 
-    A column's label is ``group/channel``; the channel's name alone will do where it is the only one. The unit is the
-    property ``unit_string`` or ``NI_UnitDescription``, where that is a unit, or stands in the channel's name. The
+    A column's label is ``group/channel``; the channel's name alone will do where no other channel has it. The unit is
+    the property ``unit_string`` or ``NI_UnitDescription``, where that is a unit, or stands in the channel's name. The
     clock comes from ``wf_increment``, ``wf_start_offset`` and ``wf_start_time``; a channel without start time starts
     with the first of the others, and channels of one task start together (see `aerobalance.io.tdms_tasks`).
 
@@ -72,7 +79,7 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
         For text files only.
     wanted
         Channels to read, by label, name or number. None for a file that needs no channel map: then every channel of
-        numbers is read, each must have a unit, and one at least must be known to the program.
+        numbers is read, each must have a unit, and at least one must have a name that the program knows.
 
     Raises
     ------
@@ -102,15 +109,15 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
 
 @contextlib.contextmanager
 def opened_parts(path: Path, channel_map: ChannelMap | None) -> Iterator[SeriesRecord | None]:
-    """Open a file to read parts of it; None where it must be read whole.
+    """Return a record that is read in parts; None where the file must be read whole.
 
-    It is read whole where its channels have different clocks or none that is stated, where the map has the time as a
-    column or derives a channel, where parts cost as much as all, and where the file was cut off.
+    It must be read whole where its channels have different clocks or state none, where the map takes the time from a
+    column or derives a channel, where a part costs as much as the whole, and where the file was cut off.
 
     Raises
     ------
     ReadError
-        The file is damaged, or has not the channels.
+        The file is damaged, or does not hold the channels.
     """
     reading = contextlib.ExitStack()
     try:
@@ -118,11 +125,11 @@ def opened_parts(path: Path, channel_map: ChannelMap | None) -> Iterator[SeriesR
         stream = reading.enter_context(opened_file(path))
         yield None if said else _record(path, file, stream, channel_map)
     finally:
-        reading.close()  # what went wrong with the record's parts is no fault of the file
+        reading.close()  # closed without the caller's error, which `_opened` would report as a damaged file
 
 
 def _record(path: Path, file: TdmsFile, stream: BinaryIO, channel_map: ChannelMap | None) -> SeriesRecord | None:
-    given = None if channel_map is None else channel_map.file
+    """Return the record of the channels wanted, all on one clock; None where the file must be read whole."""
     if channel_map is not None and channel_map.needs_all:
         return None
     entries = _entries(path, file)
@@ -130,7 +137,11 @@ def _record(path: Path, file: TdmsFile, stream: BinaryIO, channel_map: ChannelMa
     stamps, remarks = _stamps(entries, chosen)
     origin = _origin([stamps.get(entry.number) for entry in chosen])
     clocks = {_clock(path, entry, stamps.get(entry.number), origin) for entry in chosen}
-    clock = Clock(0.0, 1 / given.rate) if given is not None and given.rate is not None else next(iter(clocks))
+    if channel_map is not None and channel_map.file.rate is not None:
+        clocks = {Clock(0.0, 1 / channel_map.file.rate)}
+    clock = clocks.pop()
+    if clock is None or clocks:
+        return None
     readers = [part_reader(file, entry.channel, stream) for entry in chosen]
     series = []
     for entry, reads in zip(chosen, readers, strict=True):
@@ -139,15 +150,13 @@ def _record(path: Path, file: TdmsFile, stream: BinaryIO, channel_map: ChannelMa
         bare = _column(entry, np.empty(0), clock)
         one = Series(entry.label, entry.name, bare.unit, entry.samples, reads, alias=bare.alias, clock=clock)
         series.append((entry.number, one))
-    if clock is None or (len(clocks) > 1 and (given is None or given.rate is None)):
-        return None
     for text in remarks:
         warn_quality(f"{path.name}: {text}")
     return SeriesRecord(path, tuple(series), clock, None, channel_map, date_after_1904(origin))
 
 
 def _chosen(path: Path, entries: Sequence[_Entry], wanted: Sequence[str | int] | None) -> list[_Entry]:
-    """Channels that are wanted; each can be read as numbers."""
+    """Return the channels that are wanted; an error where one cannot be read as numbers."""
     if wanted is None:
         chosen = _described(path, entries)
     else:
@@ -161,7 +170,7 @@ def _chosen(path: Path, entries: Sequence[_Entry], wanted: Sequence[str | int] |
 
 
 def date_after_1904(stamp: Any) -> np.datetime64 | None:
-    """Date and time (UTC) of a stamp of LabVIEW, which counts from 1904; None where there is none."""
+    """Return date and time (UTC) of a LabVIEW time stamp, which counts from 1904; None where none is stated."""
     if stamp is None or not 0 < int(stamp.seconds) < _LATEST:
         return None
     nanoseconds = int(stamp.second_fractions) * 10**9 >> 64
@@ -172,7 +181,7 @@ def date_after_1904(stamp: Any) -> np.datetime64 | None:
 
 
 def headings(path: Path) -> tuple[Heading, ...]:
-    """Read what the file says of its channels, without their data.
+    """Return name, unit, rate and length of each channel, without reading data.
 
     Raises
     ------
@@ -214,15 +223,15 @@ class _Entry:
 
 @contextlib.contextmanager
 def _opened(path: Path) -> Iterator[tuple[TdmsFile, list[str]]]:
-    """Open a file; turn whatever its reader fails with into a `ReadError`, and what it says into remarks.
+    """Open a file, and give it with the messages that the reading library has logged so far.
 
-    What it has said so far comes with the file; at the end it becomes warnings.
+    Every failure of that library becomes a `ReadError`, and its messages become warnings when the file is closed.
     """
     from nptdms import TdmsFile  # noqa: PLC0415 - a third of a second, and only TDMS files need it
 
     said: list[str] = []
     try:
-        # A stream, as with a path the reader would trust whatever index file lies beside it.
+        # A stream, since for a path the library would trust any index file that lies beside it.
         with path.open("rb") as stream, _listening(said), np.errstate(all="ignore"):
             cut_off = _cut_off(stream)
             with TdmsFile.open(stream, raw_timestamps=True) as file:
@@ -235,7 +244,7 @@ def _opened(path: Path) -> Iterator[tuple[TdmsFile, list[str]]]:
         raise ReadError(path, "", f"cannot be read: {error.strerror or error}") from None
     except MemoryError:
         raise ReadError(path, "", "is damaged, or too large for the memory; read fewer channels at a time") from None
-    except Exception as error:  # noqa: BLE001 - the reader fails in a dozen ways on damaged files
+    except Exception as error:  # noqa: BLE001 - the library fails in a dozen ways on damaged files
         text = " ".join(str(error).split()) or type(error).__name__
         raise ReadError(
             path, "its segments", f"is a damaged TDMS file, or of a kind that cannot be read: {text[:200]}"
@@ -247,7 +256,7 @@ def _opened(path: Path) -> Iterator[tuple[TdmsFile, list[str]]]:
 
 
 def _cut_off(stream: BinaryIO) -> bool:
-    """Return whether the last segment ends elsewhere than the file: the reader does not tell every case."""
+    """Return whether the last segment ends elsewhere than the file, as the library does not report every case."""
     size = stream.seek(0, 2)
     place = 0
     while place < size:
@@ -263,13 +272,13 @@ def _cut_off(stream: BinaryIO) -> bool:
 
 @contextlib.contextmanager
 def _listening(said: list[str]) -> Iterator[None]:
-    """Collect what the reader would write to standard error."""
+    """Collect the warnings that the library would write to standard error."""
 
     class _Collector(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
             said.append(record.getMessage())
 
-    from nptdms.log import log_manager  # noqa: PLC0415 - comes with the reader
+    from nptdms.log import log_manager  # noqa: PLC0415 - comes with the library
 
     collector = _Collector(logging.WARNING)
     loggers = list(log_manager.loggers.values())
@@ -284,13 +293,13 @@ def _listening(said: list[str]) -> Iterator[None]:
 
 
 def _entries(path: Path, file: TdmsFile) -> list[_Entry]:
-    """List the channels of a file."""
+    """Return the channels of a file; an error where a claimed length cannot be true."""
     size = path.stat().st_size
     found: list[_Entry] = []
     for group in file.groups():
         for channel in group.channels():
             label = f"{group.name}/{channel.name}"
-            if len(channel) > size:
+            if len(channel) > size:  # a sample takes at least one byte
                 raise ReadError(
                     path, label, f"claims {len(channel)} samples in a file of {size} bytes: the file is damaged"
                 )
@@ -325,13 +334,14 @@ def _fault(entry: _Entry) -> str:
 
 
 def _check_usable(path: Path, entry: _Entry) -> None:
+    """Raise an error where a channel cannot be read as numbers."""
     fault = _fault(entry)
     if fault:
         raise ReadError(path, f"channel {entry.label!r}", f"{fault}; a channel of numbers is needed")
 
 
 def _described(path: Path, entries: Sequence[_Entry]) -> list[_Entry]:
-    """Choose the channels of a file that needs no channel map."""
+    """Return the channels of a file that needs no channel map; an error where it needs one."""
     usable = [entry for entry in entries if not _fault(entry)]
     needed = (
         f"a channel map is needed, which `aerobalance map FILE` makes (then give it with {argument('channel_map')})"
@@ -345,6 +355,7 @@ def _described(path: Path, entries: Sequence[_Entry]) -> list[_Entry]:
     if not any(entry.name in QUANTITIES or is_gauge(entry.name) for entry in timed):
         names = ", ".join(repr(entry.label) for entry in usable) or "none with numbers"
         raise ReadError(path, "", f"none of its channels ({names}) has a name that the program knows; {needed}")
+    # A time column beside channels with clocks of their own repeats what these say.
     clocked = [entry for entry in timed if "wf_increment" in entry.channel.properties]
     others = [entry for entry in timed if entry not in clocked]
     return clocked if clocked and all(is_time(entry.name) for entry in others) else timed
@@ -356,6 +367,7 @@ def is_time(name: str) -> bool:
 
 
 def _column(entry: _Entry, values: Array, clock: Clock | None) -> RawColumn:
+    """Return a channel as a column; channels of time stamps are in s."""
     unit = "s" if entry.channel.dtype.kind == "M" else entry.unit
     return RawColumn(
         entry.label, entry.name, unit, values, entry.number, alias=entry.channel.name.strip(), clock=clock
@@ -363,13 +375,13 @@ def _column(entry: _Entry, values: Array, clock: Clock | None) -> RawColumn:
 
 
 def _values(path: Path, entry: _Entry) -> Array:
-    """Read the samples of one channel, scaled, shape (n,); no other channel's data are read."""
+    """Return the samples of one channel, scaled, shape (n,); no other channel's data are read."""
     values = np.empty(0)
     filled = 0
     for chunk in entry.channel.data_chunks():
-        part = _numbers(chunk[:], path, entry)
+        part = _numbers(chunk[:], entry)
         if filled == 0:
-            if part.size == entry.samples:
+            if part.size == entry.samples:  # the only chunk need not be copied
                 values, filled = part, part.size
                 continue
             values = np.empty(entry.samples)
@@ -382,7 +394,8 @@ def _values(path: Path, entry: _Entry) -> Array:
     return within_reason(path, f"channel {entry.label!r}", values)
 
 
-def _numbers(part: Any, path: Path, entry: _Entry) -> Array:
+def _numbers(part: Any, entry: _Entry) -> Array:
+    """Return samples as floats; time stamps as the time after the channel's first one [s]."""
     if entry.channel.dtype.kind != "M":
         return np.asarray(part, dtype=np.float64)
     origin = entry.channel[0]
@@ -392,7 +405,7 @@ def _numbers(part: Any, path: Path, entry: _Entry) -> Array:
 
 
 def _stamps(entries: Sequence[_Entry], chosen: Sequence[_Entry]) -> tuple[dict[int, Any], list[str]]:
-    """Return the stamp at which each channel starts, and what is doubtful about it."""
+    """Return the time stamp at which each channel starts, by its number, and what is doubtful about them."""
     stamped = []
     for entry in entries:
         given = entry.channel.properties
@@ -418,7 +431,7 @@ def _origin(stamps: Sequence[Any]) -> Any:
 
 
 def _clock(path: Path, entry: _Entry, stamp: Any, origin: Any) -> Clock | None:
-    """Return a channel's clock, by its properties and its start; None where it states no rate."""
+    """Return a channel's clock, which begins `stamp` less `origin` after the record; None where it states no rate."""
     properties = entry.channel.properties
     if "wf_increment" not in properties:
         return None

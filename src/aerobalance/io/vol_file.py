@@ -1,7 +1,8 @@
 """Voltage calibration files (``.vol``): loads on one component at a time, bridge voltages and excitation.
 
-``key--> value`` lines say what the balance is; then comes a block per component and sign, ``[N1 pos]``, with a header
-and rows of load, bridge voltages and excitation. The sign of the loads is that of the block's title.
+``key--> value`` lines describe the balance; then comes a block for each component and each sign of its load,
+``[N1 pos]``, with a header and rows of load, bridge voltages and excitation. The sign of the loads is that of the
+block's title.
 """
 
 from __future__ import annotations
@@ -34,12 +35,12 @@ from aerobalance.recording.units import conversion
 NAME: Final = "voltage calibration file (.vol)"
 """What to call the format in messages."""
 
-_SIGN: Final = re.compile(
+_RECOGNISED_BY: Final = re.compile(
     r"voltage\s+calibration\s+file|number\s*of\s*loads\s*-+>|\[\s*maximal\s+balance\s+loads", re.I
 )
-_SPLIT: Final = re.compile(r"(?P<forces>\d+)\s*f(orces?)?\W*(?P<moments>\d+)\s*m(oments?)?", re.I)
+_FORCES_AND_MOMENTS: Final = re.compile(r"(?P<forces>\d+)\s*f(orces?)?\W*(?P<moments>\d+)\s*m(oments?)?", re.I)
 _DISTANCE: Final = re.compile(r"distance\s*(from|of)?\s*(?P<name>.+?)\s+to\b(?P<rest>.*)", re.I)
-_PLACES: Final = {
+_GAUGE_POSITIONS: Final = {
     **dict.fromkeys(("forward normal", "forward pitch"), "forward_normal"),
     **dict.fromkeys(("aft normal", "aft pitch"), "aft_normal"),
     **dict.fromkeys(("forward side", "forward yaw"), "forward_side"),
@@ -49,13 +50,13 @@ _PLACES: Final = {
 
 def can_read(text: str) -> bool:
     """Return whether a text is a voltage calibration file."""
-    return _SIGN.search(text[:20000]) is not None
+    return _RECOGNISED_BY.search(text[:20000]) is not None  # one of them stands at the beginning
 
 
 def read_vol(path: Path, text: str, *, capacities: Capacities | None = None) -> Schedule:
-    """Make a schedule of the text of a voltage calibration file.
+    """Return the load schedule of a voltage calibration file, its loads in N and N*m and its outputs in mV/V.
 
-    Every block is a series of its own. Outputs are voltages over excitation.
+    Every block is a series of its own. Outputs are bridge voltages over excitation.
 
     Parameters
     ----------
@@ -69,7 +70,7 @@ def read_vol(path: Path, text: str, *, capacities: Capacities | None = None) -> 
     Raises
     ------
     ReadError
-        The text is no such schedule; the message says where and what is allowed.
+        The text is no such file; the message says where and what is allowed.
     ValueError
         `capacities` does not fit the file's loads.
 
@@ -88,8 +89,8 @@ def read_vol(path: Path, text: str, *, capacities: Capacities | None = None) -> 
     loads, outputs = [], []
     for block, layout, component, unit in zip(blocks, layouts, naming.blocks, units.blocks, strict=True):
         applied = np.zeros((len(block.lines), c))
-        change = load_conversion(unit)
-        applied[:, component] = change.inside(_signed(reading, block, loads=block.values[:, layout.load]))
+        written = _signed(reading, block, loads=block.values[:, layout.load])
+        applied[:, component] = load_conversion(unit).inside(written)
         loads.append(applied)
         outputs.append(block_outputs(reading, block, layout=layout, first=layouts[0]))
     stated = stated_capacities(reading, naming, amounts=amounts, units=units)
@@ -117,7 +118,7 @@ def read_vol(path: Path, text: str, *, capacities: Capacities | None = None) -> 
 
 
 def _signed(reading: VolReading, block: VolBlock, *, loads: Array) -> Array:
-    """Loads with the sign of their block; doubt where the file's own signs contradict it."""
+    """Return loads with the sign of their block's title, and warn where signs in its rows contradict the title."""
     if block.sign == 0:
         reading.notes.append(f"block [{block.title}] says neither pos nor neg: loads have the signs of the file")
         return loads
@@ -133,17 +134,21 @@ def _signed(reading: VolReading, block: VolBlock, *, loads: Array) -> Array:
             f"{reading.path}: block [{block.title}] {what} (line(s) {lines}); all of its loads are taken as {word}, "
             f"as the title says; if the title is wrong, so is the sensitivity to {block.component}"
         )
-    return block.sign * np.abs(loads) + 0.0
+    return block.sign * np.abs(loads) + 0.0  # adding zero makes 0 of -0, which would be printed with its sign
 
 
 def _balance_type(reading: VolReading, names: Sequence[str], *, moments: Sequence[bool]) -> BalanceType:
-    """Which loads the gauges measure: as the file says, checked against the units of its loads."""
+    """Return which loads the gauges measure, by the units of six loads, or else by their names.
+
+    A balance type in the file that contradicts the units is warned of.
+    """
+    # Of six gauges a force balance measures five forces and RM, a moment balance five moments and AF.
     kinds: dict[int, BalanceType] = {1: "force", 3: "direct", 5: "moment"}
     found: BalanceType = kinds.get(sum(moments), "unknown") if len(moments) == 6 else balance_type_of(names)
     entry = next((e for e in reading.parts.description if e.key.casefold().startswith("balance type")), None)
-    said = _SPLIT.search(entry.value) if entry else None
-    whole = said is not None and int(said["forces"]) + int(said["moments"]) == len(moments)
-    if entry and said and whole and int(said["moments"]) != sum(moments):
+    said = _FORCES_AND_MOMENTS.search(entry.value) if entry else None
+    counts_all = said is not None and int(said["forces"]) + int(said["moments"]) == len(moments)
+    if entry and said and counts_all and int(said["moments"]) != sum(moments):
         warn_quality(
             f"{reading.path}: line {entry.line}: the balance type is {entry.value!r}, but by their units "
             f"{sum(moments)} of the {len(moments)} loads are moments; the units are believed, so check them"
@@ -152,18 +157,19 @@ def _balance_type(reading: VolReading, names: Sequence[str], *, moments: Sequenc
 
 
 def _geometry(reading: VolReading) -> Geometry | None:
-    """Distances of the gauges from the centre; None, with a note, where they are not all there."""
+    """Return the distances of the gauges from the balance centre [m]; None, with a note, where any is missing."""
     found: dict[str, float] = {}
     for entry in reading.parts.distances:
         match = _DISTANCE.fullmatch(entry.key)
-        place = _PLACES.get(load_key(match["name"])) if match else None
+        place = _GAUGE_POSITIONS.get(load_key(match["name"])) if match else None
         amount = amount_in(entry.value)
         if match is None or place is None or not amount.value > 0:
             continue
-        word = re.search(r"\bin\s+([A-Za-z]+)\W*$", match["rest"]) or re.search(
+        # The unit stands beside the number, or ends the key: "... to centre in mm", "... to centre [mm]".
+        named = re.search(r"\bin\s+([A-Za-z]+)\W*$", match["rest"]) or re.search(
             r"[\[(]([A-Za-z]+)[\])]", match["rest"]
         )
-        unit = amount.unit or (word[1] if word else "")
+        unit = amount.unit or (named[1] if named else "")
         try:
             found[place] = float(conversion(unit, expected="m").inside(amount.value))
         except ValueError:

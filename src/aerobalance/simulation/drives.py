@@ -1,4 +1,4 @@
-"""How a shaker can push: stepped sine, sweep and noise, and a drive that cannot hold steady."""
+"""Excitation by a shaker: stepped sine, linear sweep, band-limited noise; steady, or unsteady near resonance."""
 
 from __future__ import annotations
 
@@ -28,20 +28,22 @@ class Drive(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Unsteadiness:
-    """A drive whose level and phase wander where the rig resonates.
+    """Random change of a drive's level and phase near resonance.
+
+    The paper's dwells were not steady at 652.5 and 752 Hz; the size and speed of the change are assumed.
 
     Attributes
     ----------
     level
-        Standard deviation of the level, relative [1].
+        Standard deviation of the level at a resonance, relative [1].
     phase
-        Standard deviation of the phase [rad].
+        Standard deviation of the phase at a resonance [rad].
     correlation_time
-        Time over which both change [s].
+        Time constant of both low-pass filters that shape the change [s].
     near
-        Frequencies around which the drive wanders [Hz].
+        Frequencies of the resonances [Hz].
     width
-        Distance from them over which the wander dies out [Hz].
+        Distance from a resonance at which both deviations have fallen to exp(-1/2), as a Gaussian [Hz].
     """
 
     level: float = 0.5
@@ -51,7 +53,7 @@ class Unsteadiness:
     width: float = 10.0
 
     def wander(self, time: Array, frequency: Array, generator: np.random.Generator) -> tuple[Array, Array]:
-        """Relative level and phase shift [rad] over time for a drive of the given frequency, shape (n,) each."""
+        """Draw relative level [1] and phase shift [rad] over time at the frequencies of a drive, shape (n,) each."""
         weight = np.zeros(time.size)
         for centre in self.near:
             weight = np.maximum(weight, np.exp(-0.5 * ((frequency - centre) / self.width) ** 2))
@@ -59,14 +61,14 @@ class Unsteadiness:
         return 1 + self.level * weight * level, self.phase * weight * phase
 
     def _noise(self, time: Array, generator: np.random.Generator) -> Array:
-        """Noise of unit variance through two equal first-order lags, begun in its stationary state."""
+        """Draw stationary noise of unit variance, low-pass filtered by two equal first-order filters, shape (n,)."""
         from scipy.signal import lfilter  # noqa: PLC0415 - slow, and no live source needs it
 
         keep = float(np.exp(-(time[1] - time[0]) / self.correlation_time))
-        lead = int(10 / (1 - keep))
+        lead = int(10 / (1 - keep))  # ten time constants, in which the start from zero is forgotten
         white = generator.standard_normal(time.size + lead)
         smooth = lfilter([1.0], [1.0, -2 * keep, keep**2], white)[lead:]
-        gain = np.sqrt((1 + keep**2) / (1 - keep**2) ** 3)
+        gain = np.sqrt((1 + keep**2) / (1 - keep**2) ** 3)  # root of the sum of (k + 1)^2 keep^(2 k), k = 0, 1, ...
         return np.asarray(smooth / gain)
 
 
@@ -79,11 +81,11 @@ class SteppedSine:
     frequencies
         Frequencies in the order they are held [Hz].
     settle, hold
-        Time to settle and time to hold at each frequency; together one dwell [s].
+        Time for transients to decay and time to measure at each frequency; together one dwell [s].
     amplitude
         Amplitude of the force [N].
     unsteadiness
-        How the drive wanders; None for a steady one.
+        How level and phase change near resonance; None for a steady drive.
     """
 
     frequencies: tuple[float, ...]
@@ -117,7 +119,7 @@ class SteppedSine:
 
 @dataclass(frozen=True, slots=True)
 class Sweep:
-    """A sine whose frequency runs from `low` to `high` [Hz] at a constant rate.
+    """A linear sweep: a sine whose frequency changes from `low` to `high` [Hz] at a constant rate.
 
     Attributes
     ----------
@@ -136,10 +138,10 @@ class Sweep:
 
     def signal(self, generator: np.random.Generator) -> Signal:
         """Draw one realisation: force [N] over time [s]; the phase at the start is random."""
-        first = generator.uniform(0, 2 * np.pi)
+        initial = generator.uniform(0, 2 * np.pi)
 
         def force(time: Array) -> Array:
-            phase = first + 2 * np.pi * (self.low * time + (self.high - self.low) * time**2 / (2 * self.duration))
+            phase = initial + 2 * np.pi * (self.low * time + (self.high - self.low) * time**2 / (2 * self.duration))
             return np.where((time >= 0) & (time <= self.duration), self.amplitude * np.sin(phase), 0.0)
 
         return force
@@ -156,7 +158,7 @@ class RandomDrive:
     duration
         How long the drive lasts [s].
     rms
-        Standard deviation of the force [N].
+        Standard deviation of the force [N]; if left out that of the sines of the other drives.
     """
 
     low: float
@@ -175,7 +177,7 @@ class RandomDrive:
 
 
 def band_noise(generator: np.random.Generator, *, low: float, high: float, rms: float, period: float) -> Signal:
-    """Draw Gaussian noise of a flat spectrum between two frequencies, as a smooth function of time.
+    """Draw periodic Gaussian noise of a flat spectrum between two frequencies, a function of time in the unit of rms.
 
     Parameters
     ----------
@@ -184,14 +186,15 @@ def band_noise(generator: np.random.Generator, *, low: float, high: float, rms: 
     low, high
         Band [Hz].
     rms
-        Standard deviation that the noise has on average.
+        Standard deviation of the noise, over many draws.
     period
-        Time after which it repeats itself [s].
+        Time after which the noise repeats itself [s].
     """
     from scipy.interpolate import CubicSpline  # noqa: PLC0415 - slow, and no live source needs it
 
     if not 0 <= low < high < np.inf or not period > 0:
         raise ValueError(f"a band needs 0 <= low < high and a positive period, not {low}, {high} and {period}")
+    # The spline through 16 points per period follows the fastest sine to 6.4e-5 of its amplitude.
     points = int(np.ceil(16 * high * period))
     lines = np.fft.rfftfreq(points, period / points)
     inside = (lines >= low) & (lines <= high) & (lines > 0)

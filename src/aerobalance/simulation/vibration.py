@@ -1,4 +1,4 @@
-"""The vibration rig: a balance upright on a shaker, sections 2.1 and 4 of [Gorbushin2020]_."""
+"""Simulated base excitation: a balance upright on a shaker, sections 2.1 and 4 of [Gorbushin2020]_."""
 
 from __future__ import annotations
 
@@ -18,10 +18,11 @@ from aerobalance.simulation.published import VIBRATION_RIG
 from aerobalance.simulation.sensors import Sensor, Simulation, accelerometer, integration_grid, read_channels
 
 ARMATURE_MASS: Final = 2.07
-"""Shaker armature with the ground end of 6F-540 [kg]; assumed, see `VibrationRig`."""
+"""Mass of the shaker's armature with the ground end of 6F-540 [kg]; assumed, see `VibrationRig`."""
 
 
 def _vibration_sensors() -> dict[str, Sensor]:
+    """Return the sensors of the paper's rig, with the noise that is printed."""
     deviation = VIBRATION_RIG.acceleration_deviation.value
     return {
         "AF": Sensor(noise=VIBRATION_RIG.dynamic_deviation.value),
@@ -32,10 +33,10 @@ def _vibration_sensors() -> dict[str, Sensor]:
 
 @dataclass(frozen=True, slots=True)
 class VibrationRig:
-    """Balance 6F-540 upright on a shaker: a free-free chain of armature, spring with damper, and live end.
+    """Balance 6F-540 upright on a shaker: two free masses, armature and live end, joined by a spring with a damper.
 
-    The shaker pushes the armature, to which the ground end is fixed; its soft suspension carries the weight and
-    nothing else. The armature's mass is not printed: 2.07 kg puts the free-free pole at the printed 752 Hz.
+    The shaker drives the armature, to which the ground end is fixed; its soft suspension carries the weight and
+    nothing else. The armature's mass is not printed: 2.07 kg gives the printed free-free natural frequency of 752 Hz.
 
     Attributes
     ----------
@@ -62,7 +63,7 @@ class VibrationRig:
             raise ValueError("the vibration rig has one mode; shake a cable cut's ground end for more")
 
     def run(self, drive: Drive, generator: np.random.Generator) -> Simulation:
-        """Shake the balance from rest and record it.
+        """Return the recording of the balance shaken from rest, with the true load and motion.
 
         Parameters
         ----------
@@ -74,6 +75,8 @@ class VibrationRig:
         clock = np.arange(round(drive.duration * self.rate)) / self.rate
         grid = integration_grid(clock, self.rate * self.oversampling, self.sensors, before=0.0)
         force = Input.through(drive.signal(generator)(grid), grid)
+        # y, the travel of the live end relative to the ground end, obeys one oscillator of the reduced mass:
+        # y'' = -(k y + b y') (1 / M + 1 / armature) - force / armature.
         M, k, b = self.dynamics.mass, self.dynamics.stiffness, self.dynamics.damping
         mode = Oscillator(mass=M * self.armature_mass / (M + self.armature_mass), stiffness=k, damping=b)
         push = Input.through(-force.values / self.armature_mass, grid)

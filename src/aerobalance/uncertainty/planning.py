@@ -1,6 +1,6 @@
-"""Uncertainty of the force that a test can reach, from the dynamics, the noise of the sensors and the sampling rate.
+"""Attainable uncertainty of the force, before the test: the Wiener bound at several bandwidths and sampling rates.
 
-It is worked out before the test, by `aerobalance.uncertainty.wiener_bound`, at several bandwidths and sampling rates.
+It follows from the dynamics, the noise of the sensors and the sampling rate (`aerobalance.uncertainty.wiener_bound`).
 """
 
 from __future__ import annotations
@@ -23,51 +23,54 @@ from aerobalance.uncertainty.wiener_bound import (
     WienerBound,
 )
 
-BELOW: Final = (0.1, 0.2, 0.5, 0.8, 1.0)
-"""Usual bandwidths over the lowest natural frequency."""
+OF_LOWEST: Final = (0.1, 0.2, 0.5, 0.8, 1.0)
+"""Bandwidths of the table that are left to the program, as multiples of the lowest natural frequency."""
 
-ABOVE: Final = (1.0, 1.25, 2.0, 4.0)
-"""Usual bandwidths over the highest natural frequency."""
+OF_HIGHEST: Final = (1.0, 1.25, 2.0, 4.0)
+"""The same as multiples of the highest natural frequency."""
 
-THROUGH: Final = 1.25
-"""Bandwidth that sampling rates are compared at, over the highest natural frequency."""
+COMPARED_AT: Final = 1.25
+"""Bandwidth at which sampling rates are compared, as a multiple of the highest natural frequency: all of that
+resonance is inside."""
 
-FASTER: Final = (1, 2, 4, 8)
-"""Sampling rates that are compared, over the one planned."""
+RATE_FACTORS: Final = (1, 2, 4, 8)
+"""Sampling rates that are compared, as multiples of the planned one."""
 
 REMEDIES: Final[Mapping[str, str]] = {
     ACCELERATION: "quieter accelerometers on the ground end, or a stiffer support",
     ANGULAR_ACCELERATION: "a quieter sensor of the ground end's rotation, or accelerometers farther apart",
     PARAMETERS: "weighing and identification with more, larger or longer releases",
 }
-"""What makes a contribution smaller."""
+"""What makes a contribution to the uncertainty smaller, by its name."""
 
 QUIETER: Final = "a quieter amplifier, more excitation or a higher sampling rate"
-"""What makes the contribution of a reading smaller."""
+"""What makes the contribution of the balance readings' noise smaller."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComponentPlan:
-    """What a test can reach of one component.
+    """Attainable uncertainty of one component of the force.
 
     Attributes
     ----------
     component
-        Which component.
+        Name of the component.
     unit
         Unit of its force: N or N*m.
     natural_frequencies
-        Of all modes of its dynamics, the first mode of a single component first, else the lowest [Hz].
+        Natural frequencies of all modes of its dynamics [Hz]: of a single component its first mode first, else the
+        lowest first.
     noise
         Standard uncertainty of one reading [N, N*m].
     force
         Root mean square of the force [N, N*m]; None where it is taken as strong against the noise.
     table
-        The attainable uncertainty at each bandwidth.
+        Attainable uncertainty at each bandwidth.
     at_other_rates
-        The same through resonance at 1, 2, 4 and 8 times the sampling rate, with the same noise per sample.
+        Attainable uncertainty up to just above the highest resonance, at 1, 2, 4 and 8 times the sampling rate, with
+        the same noise per sample.
     live_lag
-        Time by which the live force follows the readings unless told otherwise [s].
+        Default lag of the live force behind the readings [s].
     """
 
     component: str
@@ -85,7 +88,7 @@ class ComponentPlan:
 
     @property
     def advice(self) -> str:
-        """One sentence on what limits the uncertainty through resonance, and what helps against it."""
+        """One sentence on what limits the uncertainty up to just above resonance, and what helps against it."""
         row = self.at_other_rates[0]
         remedy = REMEDIES.get(row.limited_by, QUIETER)
         return f"{self.component} up to {row.bandwidth:.4g} Hz is limited by the {row.limited_by}: {remedy}"
@@ -93,7 +96,7 @@ class ComponentPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
-    """What a test can reach, by component.
+    """Attainable uncertainty of the force, by component.
 
     Attributes
     ----------
@@ -104,9 +107,10 @@ class Plan:
     angular_acceleration_noise
         The same of its angular acceleration about each axis [rad/s^2].
     components
-        The plan of each component.
+        Plan of each component.
     parameters_left_out
-        Whether the dynamics have uncertainties that are not counted, because no force is given.
+        Whether uncertainties of the dynamics are not counted, because their effect is in proportion to a force that is
+        not given.
     """
 
     rate: float
@@ -134,12 +138,12 @@ def plan(
     force: float | Mapping[str, float] | None = None,
     bandwidths: Sequence[float] = (),
 ) -> Plan:
-    """Return the standard uncertainty of the force that a test can reach, by bandwidth and sampling rate [N, N*m].
+    """Return the attainable standard uncertainty of the force, by bandwidth and sampling rate [N, N*m].
 
     Parameters
     ----------
     dynamics
-        The balance with its model: one component, several that are not coupled, or coupled ones.
+        Dynamics of the balance with its model: one component, several that are not coupled, or coupled ones.
     rate
         Sampling rate [Hz].
     noise
@@ -152,9 +156,10 @@ def plan(
     force
         Root mean square of the force, spread evenly up to the bandwidth [N, N*m]; by component where there are
         several. If left out, the force is taken as strong against the noise, and the parameters of the dynamics as
-        known.
+        known exactly.
     bandwidths
-        Highest frequencies of the force [Hz]; if left out, some below, between and above the natural frequencies.
+        Highest frequencies of the force, one for each row of the table [Hz]; if left out, some below, between and
+        above the natural frequencies.
 
     Raises
     ------
@@ -196,7 +201,7 @@ def _check_positive(value: float, name: str) -> None:
 
 
 def _by_component(given: float | Mapping[str, float], names: Sequence[str], what: str) -> dict[str, float]:
-    """Return one positive number for every component."""
+    """Return one positive number for every component; `what` names it in messages."""
     if not isinstance(given, Mapping):
         if len(names) > 1:
             raise ValueError(f"{what} must be given by component, for {', '.join(names)}, not as one number")
@@ -212,13 +217,14 @@ def _by_component(given: float | Mapping[str, float], names: Sequence[str], what
 def _planned(
     bound: WienerBound, force: Mapping[str, float] | None, *, rate: float, bandwidths: Sequence[float]
 ) -> dict[str, ComponentPlan]:
-    """Return the plans of components whose forces are estimated together."""
+    """Return the plans of the components of one block: one alone, or all that are coupled with each other."""
     dynamics = bound.dynamics
     modes = tuple(mode.natural_frequency for mode in dynamics.modes)
     chosen = tuple(bandwidths) or _usual_bandwidths(modes, rate)
-    through = min(THROUGH * max(modes, default=np.inf), rate / 2)
+    compared_at = min(COMPARED_AT * max(modes, default=np.inf), rate / 2)
     table = [bound.attainable(force, bandwidth=bandwidth, rate=rate) for bandwidth in chosen]
-    faster = [bound.attainable(force, bandwidth=through, rate=factor * rate) for factor in FASTER]
+    at_other_rates = [bound.attainable(force, bandwidth=compared_at, rate=factor * rate) for factor in RATE_FACTORS]
+    # As in the live estimator: a decoupled channel can have a natural frequency far below that of every mode.
     slowest = SLOWEST * min(modes, default=0.0)
     noise = np.diag([bound.noise[name] ** 2 for name in dynamics.components])
     channels = [dynamics.decoupled(name, noise=noise).dynamics for name in dynamics.components]
@@ -230,7 +236,7 @@ def _planned(
             noise=bound.noise[name],
             force=None if force is None else force[name],
             table=tuple(rows[place] for rows in table),
-            at_other_rates=tuple(rows[place] for rows in faster),
+            at_other_rates=tuple(rows[place] for rows in at_other_rates),
             live_lag=LAG_PERIODS / max(channels[place].natural_frequency, slowest),
         )
         for place, name in enumerate(dynamics.components)
@@ -242,7 +248,7 @@ def _usual_bandwidths(natural_frequencies: Sequence[float], rate: float) -> tupl
     chosen: set[float] = set()
     if natural_frequencies:
         low, high = min(natural_frequencies), max(natural_frequencies)
-        chosen = {*(part * low for part in BELOW), *(part * high for part in ABOVE)}
+        chosen = {*(part * low for part in OF_LOWEST), *(part * high for part in OF_HIGHEST)}
         if low < high:
             chosen.add(float(np.sqrt(low * high)))
     return (*sorted(bandwidth for bandwidth in chosen if bandwidth < rate / 2), rate / 2)

@@ -1,4 +1,4 @@
-"""Whether what is measured again and again scatters as its uncertainties state, and whether it drifts."""
+"""Repeatability: reduced chi-square of repeats against their stated uncertainties, and drift along a test."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from numpy.typing import ArrayLike
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
-    """How repeats of one quantity scatter.
+    """Standard deviation of repeats of one quantity, as measured and as expected from their uncertainties.
 
     Attributes
     ----------
     mean
-        Their mean.
+        Mean of the repeats.
     deviation
-        Standard deviation about it.
+        Measured standard deviation about the mean.
     expected
-        What their stated uncertainties make of it.
+        Standard deviation to be expected from the stated uncertainties.
     freedom
-        Degrees of freedom: their number less 1.
+        Degrees of freedom: the number of repeats less 1.
     """
 
     mean: float
@@ -32,35 +32,40 @@ class Scatter:
 
     @classmethod
     def of(cls, values: ArrayLike, differences: ArrayLike) -> Scatter:
-        """Return how values scatter, in their unit.
+        """Return the measured and the expected standard deviation of repeats, in their unit.
 
         Parameters
         ----------
         values
-            Two or more, shape (n,).
+            The repeats, two or more, shape (n,).
         differences
-            Variance of the difference of every two of them by what is stated: errors that both share are not in it.
+            Stated variance of the difference of each pair of repeats, shape (n (n - 1) / 2,); an error that both share
+            cancels in a difference and is not counted.
         """
         given = np.asarray(values, dtype=float)
+        # The sample variance is half the mean squared difference of all pairs, so this is its expectation.
         expected = float(np.sqrt(np.mean(np.asarray(differences, dtype=float)) / 2))
         return cls(float(given.mean()), float(given.std(ddof=1)), expected, given.size - 1)
 
     @property
     def chi_square(self) -> float:
-        """Variance over that expected, which is chi-square per degree of freedom [1]."""
+        """Reduced chi-square: measured over expected variance [1]; NaN where no uncertainty is stated."""
         return (self.deviation / self.expected) ** 2 if self.expected > 0 else float("nan")
 
 
 @dataclass(frozen=True, slots=True)
 class Pooled:
-    """Scatter of many groups of repeats over what is stated.
+    """Reduced chi-square of many groups of repeats together.
+
+    It is judged by quantiles of chi-square, which hold where all groups have the same expected deviation; where these
+    differ they lie too close to 1.
 
     Attributes
     ----------
     chi_square
-        Per degree of freedom [1].
+        Reduced chi-square [1]: 1 on average where the stated uncertainties are right.
     freedom
-        Degrees of freedom.
+        Degrees of freedom of all groups together.
     """
 
     chi_square: float
@@ -68,29 +73,29 @@ class Pooled:
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Between which `chi_square` lies with 95 % where all is as stated [1]."""
-        return self._below(0.025), self._below(0.975)
+        """Limits of the central 95 % interval of `chi_square` if the stated uncertainties are right [1]."""
+        return self._quantile(0.025), self._quantile(0.975)
 
     def below(self, chance: float) -> bool:
-        """Return whether chi-square is so small that chance alone makes it no larger less often than this."""
-        return self.chi_square < self._below(chance)
+        """Return whether `chi_square` is so small that the probability of a smaller one is less than `chance`."""
+        return self.chi_square < self._quantile(chance)
 
     def above(self, chance: float) -> bool:
-        """Return whether chi-square is so large that chance alone makes it no smaller less often than this."""
-        return self.chi_square > self._below(1 - chance)
+        """Return whether `chi_square` is so large that the probability of a larger one is less than `chance`."""
+        return self.chi_square > self._quantile(1 - chance)
 
-    def _below(self, probability: float) -> float:
-        """What chi-square per degree of freedom is below with a probability."""
+    def _quantile(self, probability: float) -> float:
+        """Quantile of the reduced chi-square distribution [1]."""
         from scipy.special import chdtri  # noqa: PLC0415 - few commands need it
 
         return float(chdtri(self.freedom, 1 - probability)) / self.freedom
 
 
 def pooled(groups: Sequence[Scatter]) -> Pooled | None:
-    """Return the scatter of all groups over what is stated [1]; None where there is none.
+    """Return the reduced chi-square of all groups [1]; None where there are no repeats or no stated uncertainty.
 
-    It is the sum of the squares over that of those expected: stated uncertainties are estimates, whose inverses would
-    be biased.
+    It is the sum of the measured squares over the sum of the expected ones, and not the mean of the groups' ratios: an
+    expected variance is itself an estimate, and the mean of inverses of estimates is biased.
     """
     freedom = sum(one.freedom for one in groups)
     expected = sum(one.freedom * one.expected**2 for one in groups)
@@ -101,14 +106,16 @@ def pooled(groups: Sequence[Scatter]) -> Pooled | None:
 
 @dataclass(frozen=True, slots=True)
 class Trend:
-    """How a quantity goes along a test.
+    """Weighted mean of a quantity and its drift along a test.
+
+    Both standard uncertainties are enlarged by the Birge ratio where the values scatter more than is stated.
 
     Attributes
     ----------
     mean, u_mean
-        Weighted mean and its standard uncertainty, not less than the values scatter.
+        Weighted mean and its standard uncertainty.
     change, u_change
-        Change from the first to the last by a straight line, and the same of it.
+        Change of the fitted straight line from the first to the last value, and its standard uncertainty.
     """
 
     mean: float
@@ -118,14 +125,14 @@ class Trend:
 
 
 def trend(place: Sequence[float], values: Sequence[float], u: Sequence[float]) -> Trend:
-    """Return the weighted mean of values and the straight line through them, in their unit.
+    """Return the weighted mean of values and the change of a straight line through them, in their unit.
 
     Parameters
     ----------
     place
-        Where each is along the test, such as its number, shape (n,).
+        Position of each value along the test, such as the number of its run, shape (n,).
     values, u
-        The values and their standard uncertainties, shape (n,).
+        The values and their standard uncertainties, shape (n,) each.
     """
     x, y, weight = np.asarray(place, dtype=float), np.asarray(values), 1 / np.asarray(u) ** 2
     mean = float(np.average(y, weights=weight))
@@ -133,7 +140,7 @@ def trend(place: Sequence[float], values: Sequence[float], u: Sequence[float]) -
     position = (x - centre) / length
     spread = float(np.sum(weight * position**2))
     change = float(np.sum(weight * position * (y - mean)) / spread) if spread > 0 else 0.0
-    square = float(np.sum(weight * (y - mean - change * position) ** 2)) / max(y.size - 2, 1)
-    scale = float(np.sqrt(max(square, 1.0)))
-    u_change = scale / np.sqrt(spread) if spread > 0 else np.inf
-    return Trend(mean, scale / float(np.sqrt(weight.sum())), change, float(u_change))
+    chi_square = float(np.sum(weight * (y - mean - change * position) ** 2)) / max(y.size - 2, 1)
+    birge = float(np.sqrt(max(chi_square, 1.0)))
+    u_change = birge / np.sqrt(spread) if spread > 0 else np.inf
+    return Trend(mean, birge / float(np.sqrt(weight.sum())), change, float(u_change))

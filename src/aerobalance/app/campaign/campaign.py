@@ -1,4 +1,4 @@
-"""A whole test at once: `reduce_runs` reduces all of its runs, and does only what is not done yet."""
+"""Reduction of all runs of a test; a later call reduces only the runs that are new or have changed."""
 
 from __future__ import annotations
 
@@ -36,17 +36,17 @@ class Campaign:
     Attributes
     ----------
     name
-        What the test is called.
+        Name of the test.
     out
-        The folder of results.
+        Folder of the results, or its address.
     rows
-        One row a run, in the order of the test.
+        One row per run, in the order of the test.
     quality
-        What the runs say together.
+        Scatter of the repeats, and flags on runs that drift, change or lie apart.
     done
-        Names of the runs that this call worked out; the others were known.
+        Names of the runs that this call reduced; the results of the others were there already.
     definition
-        What the test is.
+        Definition of the test.
     seconds
         How long this call took [s].
     """
@@ -61,7 +61,7 @@ class Campaign:
 
     @property
     def reduced(self) -> list[Row]:
-        """Rows of the runs that were reduced."""
+        """Rows of the runs that could be reduced, by this call or an earlier one."""
         return [row for row in self.rows if row["status"] == REDUCED]
 
     @property
@@ -71,13 +71,13 @@ class Campaign:
 
     @property
     def table(self) -> pd.DataFrame:
-        """One row a run, as in ``summary.parquet``."""
+        """One row per run, as in ``summary.parquet``."""
         import pandas as pd  # noqa: PLC0415 - takes a third of a second
 
         return pd.DataFrame(list(self.rows)).set_index("run_name")
 
     def history(self, run: str) -> xr.Dataset:
-        """Loads and forces of a run with their standard uncertainties along the time [N, N*m]."""
+        """Loads and forces of a run over time, with their standard uncertainties [N, N*m]."""
         import xarray as xr  # noqa: PLC0415 - of an extra
 
         data: xr.Dataset = xr.open_zarr(Results(self.out).place(HISTORIES), group=run, consolidated=False)
@@ -86,14 +86,14 @@ class Campaign:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prepared:
-    """A test whose files are found.
+    """A test that is ready to be reduced: its runs are listed, each with its files.
 
     Attributes
     ----------
     name
-        What the test is called.
+        Name of the test.
     definition
-        What it is.
+        Definition of the test.
     runs
         Its runs with their files.
     """
@@ -104,7 +104,7 @@ class Prepared:
 
 
 def prepared(test: str | Path, *, dynamics: str | Path | None = None, balance: str | Path | None = None) -> Prepared:
-    """Find the runs of a test file, or of a folder of recordings.
+    """Return the runs of a test file, or of a folder of recordings, each with its files.
 
     Parameters
     ----------
@@ -120,11 +120,11 @@ def prepared(test: str | Path, *, dynamics: str | Path | None = None, balance: s
     ReadError
         The test file, a table or a file that all runs need cannot be used.
     ValueError
-        A folder is given without dynamics.
+        A folder is given without dynamics, or a test file with a balance.
     """
     place = str(test)
     if place.lower().endswith(".toml"):
-        own = None if dynamics is None else _whole(dynamics)
+        own = None if dynamics is None else _absolute(dynamics)
         if balance is not None:
             raise ValueError("a balance goes with a folder; a test file names it under [[setups]]")
         with fetched(place) as path:
@@ -137,7 +137,7 @@ def prepared(test: str | Path, *, dynamics: str | Path | None = None, balance: s
         if dynamics is None:
             raise ValueError(f"{place} is a folder: give {argument('dynamics')} of its recordings too")
         definition = definition_of_folder(
-            place, _whole(dynamics), balance=None if balance is None else _whole(balance)
+            place, _absolute(dynamics), balance=None if balance is None else _absolute(balance)
         )
         folder, name = place, name_of(place) or place
     runs = assigned(definition, folder)
@@ -149,8 +149,8 @@ def prepared(test: str | Path, *, dynamics: str | Path | None = None, balance: s
     return Prepared(name, definition, runs)
 
 
-def _whole(place: str | Path) -> str:
-    """A place that holds from anywhere."""
+def _absolute(place: str | Path) -> str:
+    """Return an absolute path, for workers in other folders; an address as it is."""
     text = str(place)
     return text if is_address(text) else str(Path(text).resolve())
 
@@ -167,28 +167,28 @@ def reduce_runs(
     replace: bool = False,
     ready: Callable[[Run], bool] = lambda run: True,
 ) -> Campaign:
-    """Reduce all runs of a test to loads and forces [N, N*m], coefficients [1] and what sums them up.
+    """Return the results of all runs of a test, loads and forces [N, N*m] and coefficients [1], and write them.
 
-    A run whose files, settings and program are those of an earlier call is not worked out again. A run that cannot be
-    reduced is set aside with its reason.
+    A run whose files, settings and program version are those of an earlier call is not reduced again. A run that
+    cannot be reduced is set aside with its reason.
 
     Parameters
     ----------
     test, dynamics, balance
         As in `prepared`.
     out
-        Folder of the results, or an address: ``summary.parquet`` with one row a run, ``histories.zarr`` with a group a
-        run, ``campaign.json``. Results that the caller holds already, or else they are held for this call.
+        Folder of the results, or its address: ``summary.parquet`` with one row per run, ``histories.zarr`` with one
+        group per run, ``campaign.json``. It is locked during this call; `Results` are taken as locked by the caller.
     engine
         Where the work is done; processes of this machine if left out.
     report
         Writes the page of a run; None for none.
     page
-        Writes the page of all runs, where anything is otherwise than before; None for none.
+        Writes the page of all runs, where anything has changed or the page is missing; None for none.
     replace
         Whether the folder may hold other files already.
     ready
-        Whether a run can be reduced already; the others are left out.
+        Whether the files of a run are complete; a run that is not ready has no row.
 
     Raises
     ------
@@ -210,7 +210,7 @@ def reduce_runs(
 
 def results_at(out: str | Path) -> Results:
     """Return the folder of results at a path or an address."""
-    return Results(_whole(out))
+    return Results(_absolute(out))
 
 
 def _reduced(
@@ -223,53 +223,57 @@ def _reduced(
     ready: Callable[[Run], bool],
     begun: float,
 ) -> Campaign:
-    """Reduce what is not done, and write what all runs are together."""
+    """Return the results of all runs that are ready, and write them where they differ from what is there."""
     names = [run.name for run in found.runs]
     found = replaced(found, runs=tuple(run for run in found.runs if ready(run)))
-    works, rows = planned(found, results.out, with_reports=report is not None)
-    todo = []
-    found_there = each_of(lambda work: results.known(work.run.name, work.key), works, of_store=is_address(results.out))
-    for work, known in zip(works, found_there, strict=True):
-        if known is None:
-            todo.append(work)
-        else:
-            rows[work.run.name] = known
-    coming = engine.rows(todo, report)
-    for _, (work, row) in zip(PROGRESS.each(todo, "run"), coming, strict=True):  # which lets the engine end its own
-        rows[work.run.name] = row
-        OUTPUTS.note(Path(results.place("runs", f"{work.run.name}.json")), replaced=False)
-    ordered = [{**rows[run.name], **head_of(run)} for run in found.runs]  # its place may have changed
+    rows, done = _rows_of(found, results, engine, report)
     results.keep_only(names)
     campaign = Campaign(
         found.name,
         results.out,
-        ordered,
-        quality_of(ordered, found.definition.repeats),
-        tuple(work.run.name for work in todo),
+        rows,
+        quality_of(rows, found.definition.repeats),
+        done,
         found.definition,
         time() - begun,
     )
     text = json_text(manifest(campaign))
-    if todo or text != results.manifest or not exists(results.place(SUMMARY)):
+    changed = bool(done) or text != results.manifest or not exists(results.place(SUMMARY))
+    if changed:
         write_summary(campaign, results)
         results.write_text(text, MANIFEST)
-    elif page is None or exists(results.place(PAGE)):
-        return campaign
-    if page is not None:
+    if page is not None and (changed or not exists(results.place(PAGE))):
         page(campaign)
     return campaign
 
 
+def _rows_of(
+    found: Prepared, results: Results, engine: Engine, report: Report | None
+) -> tuple[list[Row], tuple[str, ...]]:
+    """Return one row per run, in the order of the test, and the names of the runs that had to be reduced for it."""
+    works, rows = planned(found, results.out, with_reports=report is not None)
+    stored = each_of(lambda work: results.known(work.run.name, work.key), works, of_store=is_address(results.out))
+    rows |= {work.run.name: row for work, row in zip(works, stored, strict=True) if row is not None}
+    todo = [work for work, row in zip(works, stored, strict=True) if row is None]
+    # Strict, so that the engine's generator runs to its end, where it stops its workers.
+    for _, (work, row) in zip(PROGRESS.each(todo, "run"), engine.rows(todo, report), strict=True):
+        rows[work.run.name] = row
+        OUTPUTS.note(Path(results.place("runs", f"{work.run.name}.json")), replaced=False)
+    # A stored row may hold an earlier number of the run in the test.
+    ordered = [{**rows[run.name], **head_of(run)} for run in found.runs]
+    return ordered, tuple(work.run.name for work in todo)
+
+
 def planned(found: Prepared, out: str, *, with_reports: bool) -> tuple[list[RunWork], dict[str, Row]]:
-    """Return what is to be done for each run, and rows of those of which a file is missing."""
+    """Return the work on each run, done already or not, and the rows of runs that are set aside for a missing file."""
     inputs = list(dict.fromkeys(place for run in found.runs for place in run.inputs))
     of_store = any(is_address(place) for place in inputs)
-    prints = dict(zip(inputs, each_of(_print_or_reason, inputs, of_store=of_store), strict=True))
+    fingerprints = dict(zip(inputs, each_of(_fingerprint_or_error, inputs, of_store=of_store), strict=True))
     works: list[RunWork] = []
     rows: dict[str, Row] = {}
     wanted = found.definition.output
     for run in found.runs:
-        missing = [reason for place in run.inputs if isinstance(reason := prints[place], ReadError)]
+        missing = [reason for place in run.inputs if isinstance(reason := fingerprints[place], ReadError)]
         if missing:
             rows[run.name] = set_aside(run, str(missing[0]))
             continue
@@ -278,7 +282,7 @@ def planned(found: Prepared, out: str, *, with_reports: bool) -> tuple[list[RunW
                 run=run,
                 settings=RunSettings.of(found.definition, run.axes),
                 out=out,
-                fingerprints={place: str(prints[place]) for place in run.inputs},
+                fingerprints={place: str(fingerprints[place]) for place in run.inputs},
                 histories=wanted.histories,
                 reports=wanted.reports if with_reports else "none",
             )
@@ -286,8 +290,8 @@ def planned(found: Prepared, out: str, *, with_reports: bool) -> tuple[list[RunW
     return works, rows
 
 
-def _print_or_reason(place: str) -> str | ReadError:
-    """What changes when a file changes, or why it cannot be had."""
+def _fingerprint_or_error(place: str) -> str | ReadError:
+    """Return the fingerprint of a file, or why it cannot be read, so that one such file costs one run only."""
     try:
         return fingerprint(place)
     except ReadError as problem:
@@ -295,7 +299,7 @@ def _print_or_reason(place: str) -> str | ReadError:
 
 
 def write_summary(campaign: Campaign, results: Results) -> None:
-    """Write what the runs are together: one row a run, their repeats, and what is said of them."""
+    """Write the tables of all runs: one row per run, and one row per group of repeats."""
     results.write_table(campaign.rows, SUMMARY)
     repeats = [
         {
@@ -314,7 +318,7 @@ def write_summary(campaign: Campaign, results: Results) -> None:
 
 
 def manifest(campaign: Campaign) -> Mapping[str, Any]:
-    """Return what a program needs to know of a campaign, as plain data."""
+    """Return the content of ``campaign.json``: what was reduced, with which settings, and what is flagged."""
     return {
         "kind": KIND,
         "finished": True,

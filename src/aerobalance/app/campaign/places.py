@@ -1,6 +1,6 @@
-"""Files of a campaign, on this machine or in an object store: found, told apart by their content, fetched.
+"""Files of a campaign on this machine or in an object store: listing, fingerprints, local copies.
 
-A place is a path, or an address such as ``s3://bucket/run.h5`` of whatever fsspec opens.
+A place is a path, or an address such as ``s3://bucket/run.h5`` of any store that fsspec opens.
 """
 
 from __future__ import annotations
@@ -24,19 +24,19 @@ INSTALL: Final = "pip install 'aerobalance[campaign]'"
 """Command that installs what campaigns need."""
 
 AT_ONCE: Final = 32
-"""Questions to a store that are under way at once."""
+"""Requests to a store that are sent at once: each waits tens of milliseconds for its answer and takes no processor."""
 
 MARKS: Final = (
     ("ETag", "etag", "VersionId", "generation", "md5Hash", "Content-MD5", "Digest"),
     ("LastModified", "Last-Modified", "last_modified", "updated", "mtime", "modify", "modificationTime"),
 )
-"""What stores say of the state of a file: marks of its content or version; where there is none, times."""
-
-Given = TypeVar("Given")
-Found = TypeVar("Found")
+"""Keys by which stores state the version of a file: marks of its content; where there is none, times of change."""
 
 READ: Final = 1 << 20
 """Bytes that are read at a time."""
+
+Given = TypeVar("Given")
+Found = TypeVar("Found")
 
 
 class MissingLibraryError(ValueError):
@@ -47,12 +47,12 @@ class MissingLibraryError(ValueError):
 
 
 def is_address(place: str) -> bool:
-    """Return whether a place is an address of a store and no path."""
+    """Return whether a place is the address of a store, and not a path."""
     return "://" in place
 
 
 def joined(folder: str, name: str) -> str:
-    """Return a name in a folder; what is a whole path or an address stays as it is."""
+    """Return the place of a name in a folder; an absolute path or an address is returned as it is."""
     if is_address(name) or Path(name).is_absolute():
         return name
     if is_address(folder):
@@ -71,12 +71,14 @@ def name_of(place: str) -> str:
 
 
 def store_of(place: str) -> tuple[AbstractFileSystem, str]:
-    """Return the file system of a place, and what it calls the place there.
+    """Return the file system of a place, and the path of the place in it.
 
     Raises
     ------
     ReadError
-        There is no such kind of store, or its library is not installed.
+        There is no such kind of store, or the library of this kind is not installed.
+    MissingLibraryError
+        fsspec itself is not installed.
     """
     try:
         from fsspec.core import url_to_fs  # noqa: PLC0415 - of an extra
@@ -97,7 +99,10 @@ def exists(place: str) -> bool:
 
 
 def matching(pattern: str) -> list[str]:
-    """Return the places that a pattern such as ``runs/*.h5`` names, in the order of their names; a name is itself."""
+    """Return the places that match a pattern such as ``runs/*.h5``, sorted by name.
+
+    A name without wildcards is returned as it is, whether there is such a file or not.
+    """
     if not any(sign in pattern for sign in "*?["):
         return [pattern]
     if not is_address(pattern):
@@ -107,22 +112,22 @@ def matching(pattern: str) -> list[str]:
         return [str(one) for one in found if one.is_file()]
     system, inside = store_of(pattern)
     try:
-        system.invalidate_cache()  # of what was there at an earlier look
+        system.invalidate_cache()  # a listing of an earlier call would lack new files
         return sorted(str(system.unstrip_protocol(one)) for one in system.glob(inside))
     except OSError as error:
         raise ReadError(pattern, "", f"cannot be listed: {error}") from None
 
 
 def listed(folder: str) -> list[str]:
-    """Return the files of a folder that are not hidden, in the order of their names."""
+    """Return the files of a folder that are not hidden, sorted by name."""
     return [place for place in matching(joined(folder, "*")) if not name_of(place).startswith(".")]
 
 
 def fingerprint(place: str) -> str:
-    """Return what changes when a file changes.
+    """Return a text that changes when the content of a file changes.
 
-    The SHA-256 of its content; in a store, which would have to send it for that, its size and the mark or the time
-    that the store gives each state of a file, where it does.
+    It is the SHA-256 of the content. In a store that states a version or a time of change it is these with the size,
+    since the SHA-256 would cost sending the whole file.
 
     Raises
     ------
@@ -131,7 +136,7 @@ def fingerprint(place: str) -> str:
     """
     if not is_address(place):
         return f"sha256:{digest(Path(place))}"
-    if not place.startswith(("file://", "local://")):
+    if not place.startswith(("file://", "local://")):  # of a local file the time of change says less than the content
         about = _asked(place, "info")
         for keys in MARKS:
             said = [str(about[key]) for key in keys if about.get(key)]
@@ -149,16 +154,16 @@ def fingerprint(place: str) -> str:
 
 
 def each_of(work: Callable[[Given], Found], given: Sequence[Given], *, of_store: bool) -> list[Found]:
-    """Return what a function gives for each, in their order; many are under way at once where a store is asked.
+    """Return the results of a function for each argument, in their order; of a store with many calls at once.
 
     Parameters
     ----------
     work
-        What is asked of each.
+        The function.
     given
-        Of what.
+        Its arguments, one for each call.
     of_store
-        Whether it waits for a store, tens of milliseconds each, rather than for this machine.
+        Whether a call waits for a store rather than uses this machine.
     """
     if not of_store or len(given) < 2:
         return [work(one) for one in given]
@@ -167,6 +172,7 @@ def each_of(work: Callable[[Given], Found], given: Sequence[Given], *, of_store:
 
 
 def _asked(place: str, what: str) -> Any:
+    """Return the answer of a store to one of fsspec's methods, such as ``info``."""
     system, inside = store_of(place)
     try:
         return getattr(system, what)(inside)
@@ -181,7 +187,7 @@ def _refusal(place: str, error: OSError) -> ReadError:
 
 @contextmanager
 def fetched(place: str) -> Iterator[Path]:
-    """Give a path of a file on this machine: the file itself, or a copy under its name that is taken away afterwards.
+    """Give the path of a file on this machine: the file itself, or a copy of the same name that is deleted afterwards.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Commands on whole tests: campaign and watch."""
+"""Commands that reduce all runs of a test: campaign when it is over, watch while it goes on."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from aerobalance.app.cli.result import Manner, show
 app = typer.Typer()
 
 Test = Annotated[str, typer.Argument(metavar="FOLDER|TEST.toml", help="A folder of recordings, or a test file.")]
-OutFolder = Annotated[str, typer.Option("-o", "--out", help="Folder of the results; an earlier one is gone on with.")]
+OutFolder = Annotated[
+    str, typer.Option("-o", "--out", help="Folder of the results; earlier ones in it are continued.")
+]
 Dynamics = Annotated[
     str | None, typer.Option("--dynamics", help="The dynamics.json of all runs; a test file may name it instead.")
 ]
@@ -20,14 +22,21 @@ FolderBalance = Annotated[
     str | None, typer.Option("--balance", help="balance.json of a folder whose recordings are of gauge outputs.")
 ]
 Scheduler = Annotated[
-    str | None, typer.Option("--scheduler", help="Address of a Dask scheduler; this machine's processors if left out.")
+    str | None, typer.Option("--scheduler", help="Address of a Dask scheduler; this machine if left out.")
 ]
 Workers = Annotated[
     int | None,
     typer.Option(
-        "--workers", help="Processes of this machine; if left out one a processor, and none for up to 8 runs.", min=0
+        "--workers",
+        help="Processes on this machine, 0 for the command itself; if left out 0 up to 8 runs, else one a processor.",
+        min=0,
     ),
 ]
+
+
+def _tell(text: str) -> None:
+    """Write a message to standard error, as standard output is for the result."""
+    typer.echo(text, err=True)
 
 
 @app.command(epilog=example("campaign runs --dynamics dynamics.json -o results"))
@@ -42,17 +51,14 @@ def campaign(
     *,
     manner: Manner,
 ) -> None:
-    """Reduce many runs to one row each: loads, forces, coefficients with uncertainty; only what is not done yet."""
+    """Reduce each run of a test that is new or changed to one row: loads, forces, coefficients with uncertainty."""
     from aerobalance.app.campaign.engine import Engine
     from aerobalance.app.commands import campaign as command
 
     if scheduler is not None and workers is not None:
         raise ValueError("--scheduler and --workers exclude each other: a scheduler has workers of its own")
 
-    def say(text: str) -> None:
-        typer.echo(text, err=True)
-
-    engine = Engine(scheduler=scheduler, workers=workers, told=say)
+    engine = Engine(scheduler=scheduler, workers=workers, told=_tell)
     show(
         lambda: command.campaign(test, out, dynamics=dynamics, balance=balance, engine=engine, replace=manner.replace),
         manner,
@@ -67,9 +73,9 @@ def watch(
     dynamics: Dynamics = None,
     balance: FolderBalance = None,
     workers: Annotated[
-        int, typer.Option("--workers", help="Processes of this machine; 0 for the command itself.", min=0)
+        int, typer.Option("--workers", help="Processes on this machine; 0 for the command itself.", min=0)
     ] = 0,
-    every: Annotated[float, typer.Option("--every", help="Time between two looks in s.", min=0.1)] = 2.0,
+    every: Annotated[float, typer.Option("--every", help="Time between two looks for new files in s.", min=0.1)] = 2.0,
     seconds: Annotated[
         float | None, typer.Option("--seconds", help="How long to watch in s; else until Ctrl-C.", min=0)
     ] = None,
@@ -79,12 +85,9 @@ def watch(
     """Do what campaign does while a test goes on: runs join the results as their files come in."""
     from aerobalance.app.commands import campaign as command
 
-    def say(text: str) -> None:
-        typer.echo(text, err=True)
-
     show(
         lambda: command.watch(
-            test, out, dynamics=dynamics, balance=balance, workers=workers, every=every, seconds=seconds, say=say
+            test, out, dynamics=dynamics, balance=balance, workers=workers, every=every, seconds=seconds, say=_tell
         ),
         Manner(as_json, verbose, replace=True),
         doing="watching",

@@ -1,8 +1,8 @@
 """A balance of six coupled components, from the calibration stand to the forces of a run.
 
-A random balance with a rigid model is calibrated, weighed, identified from six releases, and then run: gusts on all
-components, a release and a sting that shakes. Everything is recorded as gauge outputs in mV/V, and every step reads
-files and calls the functions behind the commands. The truth is used to judge the results, never to find them.
+A random balance with a rigid model is calibrated, weighed, identified from six releases, and then put through a run:
+gusts on all components, a release and a sting that shakes. Everything is recorded as gauge outputs in mV/V, and every
+step reads files and calls the functions behind the commands. The true forces are used only to judge the results.
 """
 
 from __future__ import annotations
@@ -35,46 +35,46 @@ from aerobalance.simulation.six_components import Release, SixSimulation
 from aerobalance.simulation.six_signals import Band, broadband, random_motion
 
 REPEATS: Final = 3
-"""Times that the calibration's loads are run through."""
+"""Number of times that the calibration's loads are applied."""
 
 ATTITUDES: Final = ((0, 0), (-15, 0), (15, 0), (0, 90), (0, -90), (10, 45), (-10, -45), (0, 180))
 """Pitch and roll of the weighing [deg]."""
 
 PULLED: Final = 0.3
-"""Size of the releases of the identification, over half range: a release rings with up to twice its size."""
+"""Load of the releases of the identification, over half range."""
 
 BEARABLE: Final = 0.7
-"""Largest load that a release may ring with in any component, over half range: the weight comes on top."""
+"""Largest balance load after a release in any component, over half range; the rest is left for the weight."""
 
 FELT: Final = 0.15
-"""Rms of the balance load under the gusts of the run, over half range, in the component that feels most of them."""
+"""Rms of the balance load under the gusts of the run, over half range, in the component where this is largest."""
 
 RELEASE: Final = 1.0
-"""Length of the record of a release [s]."""
+"""Duration of the recording of a release [s]."""
 
 DURATION: Final = 1.0
-"""Length of the run [s]."""
+"""Duration of the run [s]."""
 
 INSTANT: Final = 0.60013
-"""Instant of the release in the run [s]."""
+"""Instant of the release in the run [s]; between two samples, as in a real run."""
 
 BEFORE: Final = 0.01
 AFTER: Final = 0.03
-"""Stretch about the release that is drawn closer [s]."""
+"""Time before and after the release that the second figure shows [s]."""
 
 ENDS: Final = 0.05
-"""Share of the run at each end that is not scored."""
+"""Share of the run at each end that is left out of the errors: the estimate is less certain near an end."""
 
 
 @dataclass(frozen=True, slots=True)
 class DemoFolder:
-    """Where the files are, and the source of all randomness."""
+    """Folder of the demonstration's files, with the random generator of all that is simulated."""
 
     path: Path
     generator: np.random.Generator
 
     def record(self, name: str, rig: SixComponentRig, duration: float) -> tuple[Path, SixSimulation]:
-        """Run a rig and write what it records."""
+        """Simulate a rig for a duration [s], and return the file of its recording with the simulation."""
         simulation = rig.run(duration, self.generator)
         file = self.path / f"{name}.h5"
         write_recording(file, simulation.recording)
@@ -82,14 +82,14 @@ class DemoFolder:
 
 
 def run_six(out: Path, *, seed: int | None = None) -> Result:
-    """Run the whole chain, judge it, and write `six.html`.
+    """Return the errors of the forces of the whole chain [% of half range], and write them to `six.html`.
 
     Parameters
     ----------
     out
-        DemoFolder for the page and all files behind it; made where it is missing.
+        Folder for the page and all files behind it; made where it is missing.
     seed
-        Seed of the balance and of all simulated noise; a fresh one is drawn, and reported, when it is not given.
+        Seed of the balance and of all simulated noise; drawn and reported where it is not given.
 
     Raises
     ------
@@ -130,7 +130,7 @@ def run_six(out: Path, *, seed: int | None = None) -> Result:
 
 
 def calibrated(folder: DemoFolder, balance: CoupledBalance) -> BalanceFiles:
-    """Calibrate the balance; its zero is read with the model on, level, before the run."""
+    """Return the files of the calibrated balance: its matrix, and its zero with the model on and level."""
     noise = 1e-4 * float(balance.matrix.output_scale.min())
     stand = CalibrationStand(balance.matrix, noise=noise, repeats=REPEATS)
     schedule = folder.path / "calibration.csv"
@@ -142,16 +142,16 @@ def calibrated(folder: DemoFolder, balance: CoupledBalance) -> BalanceFiles:
 
 
 def still(balance: CoupledBalance, pitch: float, roll: float) -> SixComponentRig:
-    """The balance at rest at an attitude [deg]."""
+    """Return a rig of the balance at rest at an attitude [deg]."""
 
-    def steady(angle: float) -> Any:
+    def constant(angle: float) -> Any:
         return lambda time: np.full(time.shape, np.deg2rad(angle))
 
-    return SixComponentRig(balance, pitch=steady(pitch), roll=steady(roll))
+    return SixComponentRig(balance, pitch=constant(pitch), roll=constant(roll))
 
 
 def weighed(folder: DemoFolder, balance: CoupledBalance, files: BalanceFiles) -> Path:
-    """Weigh the balance with its model at the attitudes, and give mass.json."""
+    """Weigh the balance with its model at the attitudes, and return the path of mass.json."""
     paths = [
         folder.record(f"weighing_{number}", still(balance, pitch, roll), 0.1)[0]
         for number, (pitch, roll) in enumerate(ATTITUDES, 1)
@@ -162,7 +162,7 @@ def weighed(folder: DemoFolder, balance: CoupledBalance, files: BalanceFiles) ->
 
 
 def identified(folder: DemoFolder, balance: CoupledBalance, files: BalanceFiles, mass: Path) -> Path:
-    """Six releases, each along one component, and what they say."""
+    """Identify the dynamics from six releases, each along one component, and return the path of dynamics.json."""
     paths = []
     for place, name in enumerate(COMPONENTS):
         load = np.zeros(len(COMPONENTS))
@@ -176,8 +176,9 @@ def identified(folder: DemoFolder, balance: CoupledBalance, files: BalanceFiles,
 
 
 def bearable(balance: CoupledBalance, load: Array) -> Array:
-    """A load to be let go, made smaller where it would ring beyond what the balance bears; shape (6,) [N, N*m]."""
+    """Return a load to be let go, reduced where the free decay would exceed `BEARABLE`, shape (6,) [N, N*m]."""
     poles, shapes, weights = balance.dynamics.modal_form
+    # Some ten periods of the slowest mode (69 Hz in 20 draws), above ten points per period of the fastest (567 Hz).
     time = np.arange(0, 0.2, 1e-4)
     swing = shapes * (-(weights @ load) / poles)
     felt = np.real(np.exp(np.outer(time, poles)) @ swing.T)
@@ -186,24 +187,22 @@ def bearable(balance: CoupledBalance, load: Array) -> Array:
 
 
 def _run(folder: DemoFolder, balance: CoupledBalance) -> tuple[Path, SixSimulation]:
-    """Gusts through all resonances, a release, and a sting that shakes."""
+    """Return the recording and the simulation of the run: gusts through all resonances, a release, a shaking sting."""
     top = 1.2 * max(mode.natural_frequency for mode in balance.dynamics.modes)
     band = Band(0, top)
     gusts = FELT / largest_felt(balance, band) * balance.half_range
     size = balance.half_range * np.array([0.3, 0.25, 0.2, 0.25, 0.2, 0.3]) / 2
-    rig = SixComponentRig(
-        balance,
+    rig = replace(
+        still(balance, 0.0, 0.0),
         releases=(Release(bearable(balance, size), instant=INSTANT),),
         applied=broadband(folder.generator, band, rms=gusts, period=2 * DURATION),
         base=random_motion(folder.generator, Band(2, 40), rms=np.array([1, 1, 1, 1, 1, 1]), period=2 * DURATION),
-        pitch=lambda time: np.zeros(time.shape),
-        roll=lambda time: np.zeros(time.shape),
     )
     return folder.record("run", rig, DURATION)
 
 
 def largest_felt(balance: CoupledBalance, band: Band) -> float:
-    """Largest rms of a balance load over half range, when all loads applied have the rms of half range."""
+    """Return the largest rms of a balance load over half range [1], for applied loads with the rms of half range."""
     frequency = np.linspace(0, band.highest, 4001)
     response = balance.dynamics.response(frequency) * balance.half_range / balance.half_range[:, None]
     power = np.sum(np.abs(response) ** 2, axis=2) * band.density(frequency)[:, None]
@@ -211,9 +210,9 @@ def largest_felt(balance: CoupledBalance, band: Band) -> float:
 
 
 def _diagonal(run: Path, dynamics: Path, files: BalanceFiles) -> Mapping[str, Array]:
-    """The forces if the components are taken each for itself, with the diagonals of the same matrices.
+    """Return the forces if coupling is neglected: only the diagonals of the same matrices are used, (n,) [N, N*m].
 
-    Limited to the band of the modes: the estimator would look long for what could explain such a model's errors.
+    The band is limited to the modes to save time: the estimator would search long for causes of the model's errors.
     """
     known = read_coupled(dynamics)
     band = 1.2 * max(mode.natural_frequency for mode in known.modes)
@@ -236,7 +235,7 @@ def _rows(
     raw: Mapping[str, Array],
     diagonal: Mapping[str, Array],
 ) -> list[Result]:
-    """Errors of every component, in percent of half range, and how often its 95 % interval holds the truth."""
+    """Return the rms errors of every component [% of half range], and the coverage of its 95 % interval [%]."""
     samples = simulation.recording.samples
     inner = slice(round(ENDS * samples), samples - round(ENDS * samples))
     rows = []
@@ -264,7 +263,7 @@ def _rms(values: Array) -> float:
 
 
 def _modes(balance: CoupledBalance, dynamics: Path) -> list[Result]:
-    """Natural frequencies and damping ratios as they are and as they were identified."""
+    """Return natural frequencies [Hz] and damping ratios [1], true and identified."""
     pairs = zip(balance.dynamics.modes, read_coupled(dynamics).modes, strict=True)
     return [
         {
@@ -278,6 +277,7 @@ def _modes(balance: CoupledBalance, dynamics: Path) -> list[Result]:
 
 
 def _around(simulation: SixSimulation) -> slice:
+    """Return the samples about the release that the second figure shows."""
     rate = simulation.recording.rate
     return slice(round((INSTANT - BEFORE) * rate), round((INSTANT + AFTER) * rate))
 
@@ -292,7 +292,7 @@ def _figure(simulation: SixSimulation, forces: Recording, raw: Mapping[str, Arra
 
 
 def summary(result: Result) -> str:
-    """Lay the result out for a terminal."""
+    """Return the result as text for a terminal."""
     lines = ["Natural frequencies [Hz] and damping ratios [1], true and identified"]
     lines += [
         f"  {mode['natural_frequency']:9.4f} {mode['identified_frequency']:9.4f}   "

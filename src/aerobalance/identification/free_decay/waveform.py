@@ -1,14 +1,13 @@
-"""The waveform of a ringing load, fitted by separable least squares.
+"""Model of the free decay of a balance load after a release, for a fit by separable nonlinear least squares.
 
-Decay rate, frequency, instant and duration of the release and the frequencies of further lines are searched; offset,
-drift, height and all amplitudes are linear and follow from them (variable projection [Golub1973]_).
+Decay rate, frequency, instant and duration of the release and the frequencies of further lines are the nonlinear
+parameters; offset, drift, height of the release and all amplitudes are linear, and for given nonlinear parameters they
+follow from a linear least-squares fit (variable projection [Golub1973]_).
 
 References
 ----------
 .. [Golub1973] G. H. Golub, V. Pereyra, "The differentiation of pseudo-inverses and nonlinear least squares problems
    whose variables separate", SIAM J. Numer. Anal. 10 (1973) 413.
-.. [Kaufman1975] L. Kaufman, "A variable projection method for solving separable nonlinear least squares problems", BIT
-   15 (1975) 49.
 """
 
 from __future__ import annotations
@@ -25,18 +24,22 @@ from aerobalance.identification.free_decay.event import Shape
 from aerobalance.recording.channel import Array
 
 HEAVIEST: Final = 0.3
-"""Damping ratio above which a further line or mode is none but the misfit of something else."""
+"""Damping ratio above which a further line or mode is not believed, as it fits some other error of the model.
+
+It would fall to exp(-2 pi 0.3 / sqrt(1 - 0.3^2)) = 14 % within one period, which hardly is an oscillation.
+"""
 
 STEEPEST_RISE: Final = 50.0
-"""Logarithm of the growth at which a rising trial waveform is cut, so that numbers stay finite."""
+"""Exponent at which a growing trial waveform (negative decay rate) is cut, so that numbers stay finite."""
 
 ALIKE: Final = 1e-4
-"""Part of a column's size that no other column shows, below which the normal equations are too poor."""
+"""Part of a column's norm that is independent of the columns before it, below which QR takes the place of the normal
+equations: they square it, and with 1e-8 of it half of the 16 digits are lost."""
 
 
 @dataclass(frozen=True, slots=True)
 class DecayLine:
-    """A further line in a ringing record: steady (hum, decay 0) or another mode.
+    """A further spectral line in the record of a free decay: steady (hum, decay 0) or another mode.
 
     Attributes
     ----------
@@ -52,11 +55,11 @@ class DecayLine:
 
 @dataclass(frozen=True, slots=True)
 class Law:
-    """How decay rate and frequency change with the amplitude: in proportion to a power of it.
+    """Nonlinear damping and stiffness: change of decay rate and frequency in proportion to a power of the amplitude.
 
-    With A the amplitude over that at the start of the ringing the decay rate is a (1 - s + s A^n) and the angular
-    frequency w (1 + k A^m): n = -1 is dry friction beside what is viscous, 1 a drag that grows with the square of the
-    speed, 2 a spring or damper that is bent.
+    With A the amplitude over that at the start of the free decay the decay rate is a (1 - s + s A^n) and the angular
+    frequency w (1 + k A^m): n = -1 is dry friction beside viscous damping, 1 a drag that grows with the square of the
+    velocity; 2 is a cubic damper or spring.
 
     Attributes
     ----------
@@ -70,19 +73,19 @@ class Law:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DrivingForce:
-    """A force that acts on the balance while it rings.
+    """A random force that acts on the balance during the free decay.
 
     Attributes
     ----------
     density
-        Its two-sided density near the natural frequency [N^2/Hz].
+        Two-sided power spectral density of the force near the natural frequency [N^2/Hz].
     band
-        Frequencies between which it was looked at [Hz].
+        Frequencies between which the density was estimated [Hz].
     objective
-        Minus the logarithm of the likelihood.
+        Negative logarithm of the likelihood.
     parameters, centre
-        Logarithms of the density of the readings' noise and of `density`, and how the latter changes from the middle
-        of the band to its end; and where they are thought to be before, shape (3,).
+        The estimated parameters, and the mean of their prior, shape (3,) each: logarithm of the density of the
+        readings' noise, logarithm of `density`, and change of the latter from the middle of the band to its end.
     """
 
     density: float
@@ -94,38 +97,44 @@ class DrivingForce:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Ring:
-    """A fitted ringing load.
+    """A fitted free decay.
 
     Attributes
     ----------
     shape
-        ``"release"``: held and let go at once. ``"ramp"``: let go over a duration. ``"free"``: ringing only, with
-        amplitude and phase of its own.
+        ``"release"``: load held and let go at once. ``"ramp"``: let go over a duration. ``"free"``: the decay alone,
+        of any amplitude and phase.
     frequency, decay
         Damped frequency [Hz] and decay rate [1/s].
     start, duration
         Instant of the release, or of the first sample used for ``"free"`` [s], and its duration [s].
     lines
         Further lines.
-    sizes
-        Sizes of the linear columns: offset, drift, height or amplitudes, lines; and where bent the change of decay
-        rate and of frequency with the envelope, each over the mean and times the height.
     bent
-        Whether decay rate and frequency may change with the envelope.
+        Whether decay rate and frequency may change with the envelope, to first order.
     vector
         Nonlinear parameters: decay rate, damped angular frequency, instant and duration where fitted, and for each
         line its angular frequency and, where it decays, its decay rate; last s and k of the law where there is one.
+    sizes
+        Linear parameters: offset, drift, height (free: amplitudes of cosine and sine), amplitudes of the lines; and
+        where `bent` the relative change of decay rate and of frequency with the envelope, each times the height.
     covariance
-        Of `vector` and `sizes`, in this order.
+        Covariance of `vector` and `sizes`, in this order.
     colour
-        Spectrum of the residuals near the ring over that of white noise, 1 where the residuals pass as white.
+        Power spectral density of the residuals near the natural frequency over that of white noise of their variance;
+        1 where they pass as white [1].
+    time, values
+        Instants [s] and readings [N] of the window that was fitted, shape (n,) each.
     residuals
-        Readings less waveform; where a force drives it the innovations, each over its own deviation times that of the
+        Readings less model, shape (n,) [N]; where there is a driving force, innovations scaled to the deviation of the
         noise.
+    rate
+        Sampling rate [Hz].
     force
-        The force that acts all along; None where the readings show none.
+        Random force that acts throughout; None where the readings show none.
     law
-        How decay rate and frequency, which are those of the first amplitude, change with it; None where they do not.
+        Law by which decay rate and frequency change with the amplitude, `decay` and `frequency` being those at the
+        start; None where they are constant.
     """
 
     shape: Shape
@@ -153,7 +162,7 @@ class Ring:
 
     @property
     def degrees_of_freedom(self) -> int:
-        """Samples less parameters."""
+        """Number of samples less number of parameters."""
         return self.time.size - self.vector.size - self.sizes.size
 
     @property
@@ -163,12 +172,12 @@ class Ring:
 
     @property
     def height(self) -> float:
-        """Load before the release less the load after [N]; 0 where the ring is free."""
+        """Load before the release less the load after [N]; 0 where the shape is ``"free"``."""
         return 0.0 if self.shape == "free" else float(self.sizes[2])
 
     @property
     def amplitude(self) -> float:
-        """Amplitude of the ringing at its start [N]."""
+        """Amplitude of the oscillation at its start [N]."""
         return abs(self.height) if self.shape != "free" else float(np.hypot(self.sizes[2], self.sizes[3]))
 
     def line_sizes(self) -> list[float]:
@@ -176,14 +185,14 @@ class Ring:
         return [float(np.linalg.norm(self.sizes[self._size_places(number)])) for number in range(len(self.lines))]
 
     def modes(self) -> tuple[Array, Array]:
-        """Decay rate, damped angular frequency and height of the first mode and, after a release, of the further ones.
+        """Decay rate, damped angular frequency and height of the first mode and, after a release, of further modes.
 
         Returns
         -------
         values
-            Shape (m, 3) [1/s, rad/s, N]; heights have signs. A free ring has no height: 1 stands for it.
+            Shape (m, 3) [1/s, rad/s, N]; heights have signs. The shape ``"free"`` has no height: 1 stands for it.
         slopes
-            Their derivatives by the rows of `covariance`, shape (m, 3, p).
+            Derivatives of `values` by the parameters that `covariance` is of, shape (m, 3, p).
         """
         released = self.shape != "free"
         nonlinear = self.vector.size
@@ -202,7 +211,7 @@ class Ring:
         return values, slopes
 
     def _size_places(self, number: int) -> slice:
-        """Places of a line's amplitudes in `sizes`."""
+        """Indices of a line's amplitudes in `sizes`."""
         place = 4 if self.shape == "free" else 3
         widths = [1 if line.decay > 0 and self.shape != "free" else 2 for line in self.lines]
         place += sum(widths[:number])
@@ -219,8 +228,19 @@ def columns_of(
     bent: bool = False,
     law: Law | None = None,
 ) -> Array:
-    """Linear columns of the waveform: offset, drift, ring, lines, and what bends it; shape (n, p)."""
+    """Return the design matrix of the linear parameters `Ring.sizes`, shape (n, p).
+
+    Parameters
+    ----------
+    time
+        Sampling instants, shape (n,) [s].
+    shape, vector, lines, bent, law
+        As in `Ring`.
+    begin
+        Start of the decay where `shape` is ``"free"`` [s]; else it is in `vector`.
+    """
     decay, w = vector[:2]
+    # Only the ratio of the loads counts, so any component of mass 1 with the same pole will do.
     unit = Dynamics("AF", 1.0, w**2 + decay**2, max(2 * decay, 0.0))
     span = time[-1] - time[0] or 1.0
     columns = [np.ones(time.size), (time - time[0]) / span - 0.5]
@@ -232,27 +252,21 @@ def columns_of(
         instant, rest = vector[2], 3
         duration = abs(vector[3]) if shape == "ramp" else 0.0
         rest += shape == "ramp"
-        released = _released(unit, time - instant, duration)
-        if law is not None:
-            rung = time > instant + duration
-            cosine, sine = _by_law(time[rung] - instant - duration, vector, law)
-            edge = np.array([-1e-3, 1e-3]) / w + duration
-            near = _released(unit, edge, duration)
-            at = float(_released(unit, np.array([duration]), duration)[0])
-            rate = 0.0 if duration <= 0 else float(near[1] - near[0]) * w / 2e-3
-            released[rung] = at * cosine + (rate + decay * at) / w * sine
-        columns.append(released)
+        if law is None:
+            columns.append(_released(unit, time - instant, duration))
+        else:
+            columns.append(_released_by_law(unit, time, vector, law, instant=instant, duration=duration))
     since = np.maximum(time - instant, 0.0)
     for line in lines:
         frequency, rest = vector[rest], rest + 1
         if line.decay == 0:
             columns += _ringing(time - time[0], 0.0, frequency)
             continue
-        fall, rest = abs(vector[rest]), rest + 1
+        own_decay, rest = abs(vector[rest]), rest + 1
         if shape == "free":
-            columns += _ringing(since, fall, frequency)
-        else:  # a mode of its own, released together with the first
-            mode = Dynamics("AF", 1.0, frequency**2 + fall**2, 2 * fall)
+            columns += _ringing(since, own_decay, frequency)
+        else:  # another mode, released together with the first
+            mode = Dynamics("AF", 1.0, frequency**2 + own_decay**2, 2 * own_decay)
             columns.append(_released(mode, time - instant, duration))
     if bent:
         columns += _bending(time - instant - duration, decay, w)
@@ -260,14 +274,33 @@ def columns_of(
 
 
 def _released(mode: Dynamics, since: Array, duration: float) -> Array:
-    """Balance load after a release, over the load held before, shape (n,) [1]."""
+    """Return the balance load after a release, over the load held before, shape (n,) [1]."""
     return mode.free_decay(since) if duration <= 0 else 1 - mode.step_response(since, duration=duration)
 
 
-def envelope_of(since: Array, decay: float, share: float, power: int) -> Array:
-    """Amplitude over its first value, where it falls as a (1 - s + s A^n) says [1], shape (n,).
+def _released_by_law(
+    mode: Dynamics, time: Array, vector: Array, law: Law, *, instant: float, duration: float
+) -> Array:
+    """Return the same where decay rate and frequency follow a law once the release is over, shape (n,) [1].
 
-    The equation is Bernoulli's: A^-n follows a straight line and an exponential.
+    The decay by the law takes over with the load and the slope that the linear mode has at the end of the release.
+    """
+    decay, w = vector[:2]
+    load = _released(mode, time - instant, duration)
+    over = time > instant + duration
+    cosine, sine = _by_law(time[over] - instant - duration, vector, law)
+    step = 1e-3  # of phase [rad], for a central difference
+    before, after = _released(mode, np.array([-step, step]) / w + duration, duration)
+    at = float(_released(mode, np.array([duration]), duration)[0])
+    slope = 0.0 if duration <= 0 else float(after - before) * w / (2 * step)
+    load[over] = at * cosine + (slope + decay * at) / w * sine
+    return load
+
+
+def envelope_of(since: Array, decay: float, share: float, power: int) -> Array:
+    """Return the amplitude A over its first value, with the decay rate a (1 - s + s A^n), shape (n,) [1].
+
+    A' = -a A (1 - s + s A^n) is a Bernoulli equation: linear in A^-n, hence solved by an exponential.
     """
     fall = power * decay * (1 - share) * since
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
@@ -277,39 +310,40 @@ def envelope_of(since: Array, decay: float, share: float, power: int) -> Array:
 
 
 def _by_law(since: Array, vector: Array, law: Law) -> list[Array]:
-    """Cosine and sine of an oscillation that begins with amplitude 1 and falls by a law, shape (n,) each [1]."""
+    """Return cosine and sine of an oscillation of amplitude 1 at first that decays by a law, shape (n,) each [1]."""
     (decay, w), (share, stiffer) = vector[:2], vector[-2:]
     size = envelope_of(since, decay, share, law.damping)
     power = size**law.frequency
+    # Integral of the power over time by the trapezoidal rule, from the start, where the power is 1.
     over = np.concatenate(([since[0] * (1 + power[0]) / 2], np.diff(since) * (power[1:] + power[:-1]) / 2))
     phase = w * (since + stiffer * np.cumsum(over))
     return [size * np.cos(phase), size * np.sin(phase)]
 
 
 def _bending(since: Array, decay: float, w: float) -> list[Array]:
-    """Change of a ringing of amplitude 1 when decay rate and frequency rise with its envelope, relative, shape (n,).
+    """Return the derivatives of a decay of amplitude 1 by e and d, at e = d = 0, shape (n,) each [1].
 
-    With a(t) = a (1 + e A(t)), A the envelope over its first value, the amplitude falls as exp(-a t - e (1 - A)) and,
-    likewise, the phase runs ahead by d (w / a) (1 - A); both to first order.
+    With the decay rate a (1 + e A) and the angular frequency w (1 + d A), A the envelope over its first value, the
+    amplitude falls as exp(-a t - e (1 - A)) and the phase runs ahead by d (w / a) (1 - A), both to first order.
     """
-    decay = max(decay, 1e-6 * abs(w))  # what does not fall does not bend
+    decay = max(decay, 1e-6 * abs(w))  # keeps w / a finite
     ringing = exponentials(complex(-decay, w), since)
     ringing *= 1 - exponentials(complex(-decay, 0), since).real
     return [-ringing.real, -w / decay * ringing.imag]
 
 
 def _ringing(since: Array, decay: float, w: float) -> list[Array]:
-    """Cosine and sine of an oscillation that begins with amplitude 1 and falls, shape (n,) each [1]."""
-    rise = STEEPEST_RISE / max(float(since[-1]), 1e-300)
-    if -decay > rise:
-        fall = np.exp(np.minimum(-decay * since, STEEPEST_RISE))
-        return [fall * np.cos(w * since), fall * np.sin(w * since)]
+    """Return cosine and sine of an oscillation of amplitude 1 at first that decays, shape (n,) each [1]."""
+    steepest = STEEPEST_RISE / max(float(since[-1]), 1e-300)
+    if -decay > steepest:
+        growth = np.exp(np.minimum(-decay * since, STEEPEST_RISE))
+        return [growth * np.cos(w * since), growth * np.sin(w * since)]
     ringing = exponentials(complex(-decay, w), since)
     return [ringing.real, ringing.imag]
 
 
 def projected(columns: Array, values: Array) -> tuple[Array, Array]:
-    """Sizes of the columns, shape (p,) or (p, c), and residuals of values, shape (n,) or (n, c)."""
+    """Return the least-squares linear parameters, shape (p,) or (p, c), and the residuals, shape (n,) or (n, c)."""
     scale = np.sqrt(np.einsum("np,np->p", columns, columns))
     scale[scale == 0] = 1.0
     unit = columns / scale
@@ -323,7 +357,7 @@ def projected(columns: Array, values: Array) -> tuple[Array, Array]:
         return sizes, values - columns @ sizes
     found = cho_solve(factor, unit.T @ values)
     left = values - unit @ found
-    more = cho_solve(factor, unit.T @ left)  # once more, for what rounding in the normal equations has lost
+    more = cho_solve(factor, unit.T @ left)  # iterative refinement, against rounding in the normal equations
     found, left = found + more, left - unit @ more
     return found / (scale if values.ndim == 1 else scale[:, None]), left
 
@@ -340,7 +374,10 @@ def jacobian(
     bent: bool,
     law: Law | None = None,
 ) -> Array:
-    """Derivatives of the waveform by the nonlinear and the linear parameters, shape (n, p)."""
+    """Return the derivatives of the model by the nonlinear and the linear parameters, shape (n, p).
+
+    Those by the nonlinear ones are central differences over a thousandth of the `scale` of each.
+    """
     slopes = []
     for k, step in enumerate(1e-3 * scale):
         shift = np.zeros(vector.size)
@@ -353,7 +390,7 @@ def jacobian(
 
 
 def ring_up_to(ring: Ring) -> float:
-    """Time for which the ringing stands above the noise of its samples, within the window [s]."""
+    """Return the time for which the amplitude exceeds the noise of one sample, within the window [s]."""
     noise = float(np.sqrt(ring.variance))
     length = float(ring.time[-1]) - ring.start
     if ring.decay <= 0 or ring.amplitude <= noise:
