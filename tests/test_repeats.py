@@ -16,7 +16,8 @@ def test_scatter_of_three():
     other = Scatter.of([0, 2], [8])  # variance 2, expected 4
     whole = pooled([found, other])
     assert whole is not None
-    assert (whole.chi_square, whole.freedom) == pytest.approx(((2 * 7 + 2) / (2 * 2 + 4), 3))
+    # variance of the expected sum of 8: 2 (2 x 2^2 + 4^2) = 48, and a chi-square of f has 2 x 8^2 / f
+    assert (whole.chi_square, whole.freedom) == pytest.approx(((2 * 7 + 2) / (2 * 2 + 4), 64 / 24))
     assert pooled([]) is None
     assert pooled([Scatter.of([1, 2], [0])]) is None
 
@@ -29,6 +30,17 @@ def test_limits_are_those_of_tables_of_chi_square():
         assert Pooled(chi_square, 10).above(1e-3) is above
         assert Pooled(chi_square, 10).below(1e-3) is below
     assert Pooled(0.147, 10).below(1e-3)
+
+
+def test_groups_that_differ_in_what_is_stated_are_judged_as_they_count(rng):
+    """Ten groups of three repeats, half of them with three times the uncertainty of the others."""
+    u, count = np.repeat([1.0, 3.0], 5), 2000
+    squares = u**2 * rng.chisquare(2, (count, 10)) / 2
+    found = [pooled([Scatter(0.0, s**0.5, e, 2) for s, e in zip(row, u, strict=True)]) for row in squares]
+    inside = np.mean([low < one.chi_square < high for one in found if one for low, high in [one.limits]])
+    # 95 % to what a sum of squares of two sizes differs from a chi-square by, which is 1 %; with the freedom of all
+    # groups it was 88 %
+    assert inside == pytest.approx(0.95, abs=0.01 + 4 * np.sqrt(0.05 * 0.95 / count))
 
 
 def test_a_trend_is_found_with_its_uncertainty(rng):

@@ -57,19 +57,17 @@ class Scatter:
 class Pooled:
     """Reduced chi-square of many groups of repeats together.
 
-    It is judged by quantiles of chi-square, which hold where all groups have the same expected deviation; where these
-    differ they lie too close to 1.
-
     Attributes
     ----------
     chi_square
         Reduced chi-square [1]: 1 on average where the stated uncertainties are right.
     freedom
-        Degrees of freedom of all groups together.
+        Degrees of freedom, by Welch and Satterthwaite: fewer than those of all groups together where some groups are
+        expected to scatter more than others, and so count more.
     """
 
     chi_square: float
-    freedom: int
+    freedom: float
 
     @property
     def limits(self) -> tuple[float, float]:
@@ -97,10 +95,11 @@ def pooled(groups: Sequence[Scatter]) -> Pooled | None:
     It is the sum of the measured squares over the sum of the expected ones, and not the mean of the groups' ratios: an
     expected variance is itself an estimate, and the mean of inverses of estimates is biased.
     """
-    freedom = sum(one.freedom for one in groups)
     expected = sum(one.freedom * one.expected**2 for one in groups)
-    if not freedom or not expected:
+    if not expected:
         return None
+    # the variance of the sum of the measured squares, of which each group's is 2 f e^4
+    freedom = expected**2 / sum(one.freedom * one.expected**4 for one in groups)
     return Pooled(sum(one.freedom * one.deviation**2 for one in groups) / expected, freedom)
 
 

@@ -218,7 +218,7 @@ def summary(result: Result) -> str:
         lines.append(f"set aside: {', '.join(result['set_aside'])}")
     if result["repeats"]:
         rows = [
-            (name, short(one["chi_square_per_degree_of_freedom"], 3), str(one["degrees_of_freedom"]))
+            (name, short(one["chi_square_per_degree_of_freedom"], 3), f"{one['degrees_of_freedom']:.3g}")
             for name, one in result["repeats"].items()
         ]
         heads = ("", "chi-square per degree of freedom", "degrees of freedom")
