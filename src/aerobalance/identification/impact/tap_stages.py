@@ -244,7 +244,7 @@ def taps_apart(fit: TapFit) -> list[bool]:
             continue
         alone = replace(tap, linked=False)
         state = fit_state(motion, tap.time[tap.before :], tap.values[tap.before :])[0]
-        free = linears_of([alone], fit.points, fit.common, [state], fit.off, whitener=whitener, derivatives=True)[0]
+        free = linears_of([alone], fit.points, fit.common, [state], fit.off, whitener=whitener)[0]
         k = alone.own
         left = free.squares - float(np.sum(free.block[:k, -1] ** 2))
         before = float(np.sum((linear.before @ whitener.T) ** 2))
