@@ -116,6 +116,12 @@ def test_taps_that_are_all_double_are_refused(rng):
         _one(one_tapped(rng, blows=3, extra=bounced))
 
 
+def test_a_tap_at_the_very_end_is_refused(rng):
+    late = Tapping(ONE, np.array([1.0]), (Blow(0.99, 2000.0, 0.004),), noise=np.array([2.0]), rate=5000.0)
+    with pytest.raises(FitError, match="no tap is followed by 64 usable readings"):
+        _one(late.record(1.0, rng))
+
+
 @pytest.mark.parametrize(("instant", "limit"), [(0.0005, np.inf), (0.3, 300.0)], ids=["no reading before it", "limit"])
 def test_where_no_force_can_be_used_the_ringing_tells_the_dynamics(instant, limit, rng):
     hammer = Hammer(noise=1.0, limit=limit)

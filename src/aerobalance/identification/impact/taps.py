@@ -35,7 +35,7 @@ from aerobalance.identification.impact.tap_doubts import (
 )
 from aerobalance.identification.impact.tap_fit import TapFit, settle_taps
 from aerobalance.identification.impact.tap_point import U_GAIN, TapPoint, fit_point, point_of
-from aerobalance.identification.impact.tap_record import TapRecord, tap_record
+from aerobalance.identification.impact.tap_record import SETTINGS, TapRecord, tap_record
 from aerobalance.identification.impact.tap_result import ALL, ImpactFit, ImpactIdentification, Taps
 from aerobalance.identification.impact.tap_stages import (
     PlacedTap,
@@ -211,12 +211,18 @@ def _check_points(recordings: Sequence[Recording], where: Sequence[TapPoint | No
 
 
 def _check_left(taps: Sequence[PlacedTap], records: Sequence[TapRecord]) -> None:
-    if not taps:
-        count = sum(len(record.taps) for record in records)
+    if taps:
+        return
+    called, count = ", ".join(record.name for record in records), sum(len(record.taps) for record in records)
+    if not count:
         raise FitError(
-            f"{', '.join(record.name for record in records)}: in all {count} taps the hammer touched twice, so none "
-            "is left; tap again, with the hammer hanging loosely"
+            f"{called}: no tap is followed by {SETTINGS.fewest_after} usable readings of the loads; record for longer "
+            "after a tap, and wait longer before the next"
         )
+    raise FitError(
+        f"{called}: in all {count} taps the hammer touched twice, so none is left; tap again, with the hammer hanging "
+        "loosely"
+    )
 
 
 def _check_moved(taps: Sequence[PlacedTap], sizes: Array, names: tuple[str, ...]) -> None:
