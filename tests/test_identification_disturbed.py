@@ -13,6 +13,8 @@ from aerobalance.app.commands.identify import identify_decay as identify_command
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.identification.free_decay.fit import DecayFit, identify_decay
+from aerobalance.identification.free_decay.law import LAWS
+from aerobalance.identification.free_decay.waveform import columns_of
 from aerobalance.io import write_recording
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.doubts import Verdict
@@ -165,6 +167,15 @@ def test_damping_that_depends_on_the_amplitude_is_a_law_at_any_rate(power, drift
         assert abs(other.damping_ratio - fit.dynamics.damping_ratio) < 2 * max(
             np.hypot(u, other.uncertainty("damping_ratio")), 1e-9
         )
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_trial_that_rises_without_end_by_a_law_is_of_numbers(law):
+    """Such a trial once ended the search in an error about infinities, where it should only fit worse."""
+    time = np.arange(4000) / RATE
+    for share in (-2.0, 0.5, 3.0):
+        columns = columns_of(time, "free", np.array([-20.0, 400.0, share, 0.1]), (), begin=0.0, law=law)
+        assert np.isfinite(columns.T @ columns).all()
 
 
 def oscillator(rng: np.random.Generator, *, friction: float = 0.0, hardening: float = 0.0) -> Recording:
