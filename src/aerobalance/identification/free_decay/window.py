@@ -112,7 +112,7 @@ def account(ring: Ring, time: Array, values: Array, *, onset: float) -> Account:
     if found.bent:
         found = by_law(found, likeliest_law(found))
     if found.law is not None:
-        found, law, dependence = levelled(found)
+        found, law, dependence = levelled(found, found.law)
     if quick is not None and not decays(found):  # a law or a second mode that leads nowhere
         return Account(quick, None, None, close=False, whole=whole)
     return Account(found, dependence, law, close=close and len(found.lines) > 0, whole=whole)
@@ -144,7 +144,7 @@ def _believed(forced: Ring, other: Ring, evidence: float) -> bool:
     The other fit is given noise of any level near the ringing, so that it is no worse where that noise is a force.
     """
     if forced.force is None:
-        return False
+        raise AssertionError
     if other.decay <= 0 and other.colour > COLOURED:  # no ringing of a release, and not what was read
         return True
     left = other.residuals[np.isin(other.time, forced.time)]
