@@ -12,9 +12,12 @@ from scipy.stats import binom, chi2, norm
 from aerobalance.app.commands.identify import identify_decay as identify_command
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.identification.free_decay.event import first_look
 from aerobalance.identification.free_decay.fit import DecayFit, identify_decay
 from aerobalance.identification.free_decay.law import LAWS
+from aerobalance.identification.free_decay.ring_fit import fit_ring
 from aerobalance.identification.free_decay.waveform import columns_of
+from aerobalance.identification.free_decay.window import _richer
 from aerobalance.io import write_recording
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.doubts import Verdict
@@ -176,6 +179,16 @@ def test_a_trial_that_rises_without_end_by_a_law_is_of_numbers(law):
     for share in (-2.0, 0.5, 3.0):
         columns = columns_of(time, "free", np.array([-20.0, 400.0, share, 0.1]), (), begin=0.0, law=law)
         assert np.isfinite(columns.T @ columns).all()
+
+
+def test_a_law_whose_search_goes_astray_is_not_taken(rng):
+    """Beside a mode of -0.6 of the load it left nine times the squares that are left without one."""
+    time, other = np.arange(1600) / RATE, Dynamics("AF", 1.0, (2 * np.pi * 171.0) ** 2, 2 * 0.008 * 2 * np.pi * 171.0)
+    load = HEIGHT * (1.6 * T128.free_decay(time - RELEASE) - 0.6 * other.free_decay(time - RELEASE))
+    load += rng.normal(0, 5.0, load.size)
+    ring = fit_ring(time, load, first_look(load, rate=RATE, name="two modes"))
+    first, _, _ = _richer(ring)
+    assert first.squares <= ring.squares
 
 
 def oscillator(rng: np.random.Generator, *, friction: float = 0.0, hardening: float = 0.0) -> Recording:

@@ -135,7 +135,8 @@ def _richer(ring: Ring) -> tuple[Ring, bool, Ring]:
     law, two = by_law(ring, likeliest_law(bent)), of_two_modes(ring)
     if two is not None and two.squares < law.squares - EVIDENCE * two.variance:
         return two, True, bent
-    return law, False, bent
+    # a law whose search went astray, as beside a strong further mode, explains less than none
+    return (law if law.squares < ring.squares else ring), False, bent
 
 
 def _believed(forced: Ring, other: Ring, evidence: float) -> bool:
