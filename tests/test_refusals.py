@@ -18,6 +18,7 @@ from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.identification.base_excitation.paper_procedure import reference_fit
 from aerobalance.identification.base_excitation.shaking import identify_shaking
+from aerobalance.identification.coupled.conclusions import rigid_of
 from aerobalance.identification.from_modes import dynamics_of_modes, one_of_pole
 from aerobalance.identification.from_stiffness import compare_coupled, coupled_from_stiffness
 from aerobalance.identification.impact.tap_point import TapPoint
@@ -26,6 +27,7 @@ from aerobalance.identification.rigid_body import rigid_mass_of
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import FitError
 from aerobalance.simulation.calibration_stand import CalibrationStand, random_balance
+from helpers.bending_releases import truth as bending
 from helpers.rigid_balance import balance, truth
 
 MASS, STIFFNESS, _ = balance()
@@ -142,6 +144,10 @@ def test_stiffness_and_damping_that_make_no_dynamics():
 def test_dynamics_that_cannot_be_compared():
     parts = [replace(SINGLE, component=name) for name in ("NF", "AF")]
     refused(lambda: compare_coupled(COUPLED, CoupledDynamics.of_components(parts)), "different components: .*; NF|AF")
+    refused(
+        lambda: compare_coupled(bending(), CoupledDynamics.of_components(parts)),
+        "one of the dynamics has modes beyond the components",
+    )
 
 
 @pytest.mark.parametrize(
@@ -161,6 +167,18 @@ def test_taps_of_which_too_little_is_said():
     refused(lambda: identify_taps([LOADS], components=("AF",), mass=(0.0, 0.1)), "mass must be positive")
     refused(lambda: identify_taps([SIX], components=("NF", "AF"), mass=1.0), "a mass matrix needs all of")
     refused(lambda: identify_taps([LOADS], components=("AF",), mass=1.0, points=[None, None]), "a point is needed")
+
+
+def test_a_weighing_that_has_not_the_mass_that_is_needed():
+    pitch = np.radians(np.arange(-10.0, 11, 2))
+    weighed = fit_weight(
+        LoadPoints(("AF",), pitch, 50.0 * np.sin(pitch)[:, None] + 1e-3 * np.cos(40 * pitch)[:, None], 0 * pitch, None)
+    )
+    normal = ab.Recording.from_arrays(np.arange(100) / 1000, {"NF": np.sin(np.arange(100.0))})
+    refused(lambda: ab.identify(normal, mass=weighed), "the weighing has no mass of NF; it has AF")
+    loads = {"NF": np.cos(np.arange(100.0)), "AF": np.sin(np.arange(100.0))}
+    pair = ab.Recording.from_arrays(np.arange(100) / 1000, loads)
+    refused(lambda: ab.identify(pair, mass=weighed), "a mass matrix needs all of")
 
 
 @pytest.mark.parametrize(
@@ -197,6 +215,12 @@ def test_a_mass_matrix_behind_dynamics_that_have_none():
     refused(lambda: rigid_mass_of(COUPLED, mass=0.0), "mass must be positive")
     few = CoupledDynamics.of_components([replace(SINGLE, component=name) for name in ("NF", "AF")])
     refused(lambda: rigid_mass_of(few, mass=1.0), "a rigid mass needs all of")
+    turned = replace(COUPLED, inertia=COUPLED.inertia.T.copy(), damping=COUPLED.damping.T.copy(), mass=None)
+    refused(lambda: rigid_mass_of(turned, mass=20.0), "mass matrix behind the dynamics is not positive", FitError)
+    alone = CoupledDynamics.of_components([replace(SINGLE, component=name) for name in COMPONENTS])
+    refused(lambda: rigid_mass_of(alone, mass=20.0), "cannot be found: .* hardly coupled", FitError)
+    assert rigid_of(alone, 20.0)[0] is None  # the dynamics stand without it
+    assert "no mass matrix" in rigid_of(alone, 20.0)[1][0]
 
 
 SHAPES = np.eye(6) + 0j
