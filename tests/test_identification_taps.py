@@ -154,6 +154,43 @@ def test_taps_that_disagree_are_doubted_and_the_spread_is_counted(rng):
     assert abs(found.dynamics.damping / DAMPING - 1.05) < 2.5 * found.dynamics.uncertainty("damping") / DAMPING
 
 
+@pytest.mark.parametrize(("blows", "apart"), [(4, 1), (2, 2)])
+def test_one_tap_whose_force_is_off_is_left_out_alone_where_others_agree(blows, apart, rng):
+    """Of two that differ by two percent none is known to be right."""
+    record = one_tapped(rng, blows=blows)
+    force = record.channel("impact_force")
+    values = force.values.copy()
+    values[: round(1.2 * record.rate)] *= 1.02  # the first comes at 0.4 s at the latest, the second at 1.8 s
+    found = _one(replace(record, channels={**record.channels, "impact_force": replace(force, values=values)}))
+    assert found.doubts[0].kind == "tap apart"
+    assert [tap.used for tap in found.taps.taps] == ["ringing"] * apart + ["force and ringing"] * (blows - apart)
+    assert np.max(np.abs(_z(found))) < 5
+    if apart < blows:
+        assert len(found.doubts) == 1
+        assert abs(found.taps.gain[0] - 1) < 5 * found.taps.gain[1] < 0.005
+
+
+def test_a_single_reading_of_the_force_that_stands_out_is_no_tap(rng):
+    record = one_tapped(rng, blows=2)
+    force = record.channel("impact_force")
+    values = force.values.copy()
+    spike = round(0.15 * record.rate)
+    values[spike - 3 : spike + 4] = 0.0
+    values[spike] = 500.0
+    found = _one(replace(record, channels={**record.channels, "impact_force": replace(force, values=values)}))
+    assert len(found.taps.taps) == 2
+    assert found.doubts == ()
+
+
+def test_damping_that_a_weak_and_short_ringing_hardly_tells_is_doubted(rng):
+    one = Tapping(ONE, np.array([1.0]), (Blow(0.02, 600.0, 0.004),), noise=np.array([200.0]), rate=5000.0)
+    found = _one(one.record(0.12, rng))
+    (doubt,) = found.doubts
+    assert doubt.kind == "damping hardly told"
+    assert doubt.effect == pytest.approx(found.dynamics.uncertainty("damping") / found.dynamics.damping)
+    assert found.verdict != "fit for use"
+
+
 class _TwoModes:
     """AF with a mode more, 1.2 % above the first: closer than the width of either at half power."""
 
@@ -389,6 +426,9 @@ def test_loads_that_tell_nothing_of_a_tap_are_refused(rng):
         load = replace(record.channel("AF"), values=values)
         with pytest.raises(FitError, match=message):
             _one(replace(record, channels={**record.channels, "AF": load}))
+    alone = CoupledDynamics.of_components([Dynamics(name, 100.0, 1e7, 500.0) for name in ("NF", "SF")])
+    with pytest.raises(FitError, match=r"no tap moves SF .*add taps that load SF"):
+        quietly(_tapped(rng, alone, UP, 0.2), components=["NF", "SF"], points=UP)
 
 
 def test_readings_of_a_load_at_a_limit_are_left_out_and_told(rng):

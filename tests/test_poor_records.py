@@ -99,12 +99,13 @@ def test_a_force_that_loads_another_component_is_named(rng):
 
 def test_a_hammer_with_too_few_readings(rng):
     record = one_tapped(rng, blows=1)
-    force = np.full(record.samples, np.nan)
-    force[:20] = 0.0
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DataQualityWarning)
-        with pytest.raises(FitError, match="readings; a tap needs many more"):
-            ab.identify(changed(record, "impact_force", values=force), mass=MASS, excitation="impact")
+    for count in (20, 0):
+        force = np.full(record.samples, np.nan)
+        force[:count] = 0.0
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DataQualityWarning)
+            with pytest.raises(FitError, match=f"has {count} readings; a tap needs many more"):
+                ab.identify(changed(record, "impact_force", values=force), mass=MASS, excitation="impact")
 
 
 def test_a_release_that_never_came(rng):
