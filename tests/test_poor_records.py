@@ -92,6 +92,15 @@ def test_a_zero_needs_samples_with_all_outputs():
         gauge_zero([empty], random_balance(1), model_on=False)
 
 
+def test_a_zero_of_two_readings_has_the_uncertainty_of_their_mean():
+    balance, readings = random_balance(1), np.array([0.01, 0.03])
+    names = ("N1", "N2", "S1", "S2", "RM", "AF")
+    channels = {f"r{name}": Channel(f"r{name}", readings, "mV/V") for name in names}
+    found = gauge_zero([Recording.from_columns(np.arange(2) / 10, channels, name="two")], balance, model_on=False)
+    # of two readings 2 d apart the standard deviation is d sqrt(2), and that of their mean d
+    assert found.u == pytest.approx(np.full(6, 0.01))
+
+
 def test_a_force_that_loads_another_component_is_named(rng):
     with pytest.raises(FitError, match="does not load AF"):
         identify_shaker(one_tapped(rng, blows=1), component="AF", mass=MASS, modes=1, point=POINTS[0])
