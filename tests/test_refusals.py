@@ -20,12 +20,12 @@ from aerobalance.identification.base_excitation.paper_procedure import reference
 from aerobalance.identification.base_excitation.shaking import identify_shaking
 from aerobalance.identification.coupled.conclusions import rigid_of
 from aerobalance.identification.from_modes import dynamics_of_modes, one_of_pole
-from aerobalance.identification.from_stiffness import compare_coupled, coupled_from_stiffness
+from aerobalance.identification.from_stiffness import agreement, compare_coupled, coupled_from_stiffness
 from aerobalance.identification.impact.tap_point import TapPoint
 from aerobalance.identification.impact.taps import identify_taps
 from aerobalance.identification.rigid_body import rigid_mass_of
 from aerobalance.recording.components import COMPONENTS
-from aerobalance.recording.errors import FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.simulation.calibration_stand import CalibrationStand, random_balance
 from helpers.bending_releases import truth as bending
 from helpers.rigid_balance import balance, truth
@@ -238,6 +238,18 @@ POLES = np.array([-1 + 100j * (k + 1) for k in range(6)])
 )
 def test_modes_that_make_no_dynamics(poles, shapes, message):
     refused(lambda: dynamics_of_modes(poles, shapes), message, FitError)
+
+
+def test_modes_of_dynamics_make_these_dynamics():
+    form = COUPLED.modal_form
+    up = form.poles.imag > 0
+    with pytest.warns(DataQualityWarning, match="no uncertainty is known"):
+        found, rigid = dynamics_of_modes(form.poles[up], form.shapes[:, up].T)
+    assert rigid is None
+    # the inverse of shapes of loads that differ by some hundred, squared, over rounding
+    assert found.inertia == pytest.approx(COUPLED.inertia, rel=1e-8, abs=1e-10 * np.abs(COUPLED.inertia).max())
+    assert found.damping == pytest.approx(COUPLED.damping, rel=1e-6, abs=1e-8 * np.abs(COUPLED.damping).max())
+    assert agreement(COUPLED, found, damping=True) is None  # of two exact ones there is no test
 
 
 def test_a_pole_that_does_not_decay():
