@@ -203,6 +203,20 @@ def test_a_band_that_is_asked_for_is_kept_to(rng):
         identified(recording, band=(15.0, 60.0))
 
 
+def test_the_longest_stretch_without_a_gap_is_used(rng):
+    recording = shaken(rng)
+    load = recording.channel("NF")
+    values = load.values.copy()
+    values[700:760] = np.nan
+    made = replace(recording, channels={**recording.channels, "NF": replace(load, values=values)})
+    with pytest.warns(DataQualityWarning, match="2240 of 3000 samples in a row are used"):
+        found = identify_shaking([made])  # without half ranges as well: the largest changes of load serve
+    (shake,) = found.shakes
+    assert shake.duration == pytest.approx((SAMPLES - 760) / RATE, abs=1.5 / RATE)
+    assert within(squares_of(found), 72)
+    assert not found.half_range_given
+
+
 def test_a_mass_that_is_not_rigid_is_noticed(rng):
     extra = np.zeros((6, 6))
     extra[0, 0] = 0.5  # heavier along NF, as a live end of its own is

@@ -132,6 +132,11 @@ def test_where_no_force_can_be_used_the_ringing_tells_the_dynamics(instant, limi
     assert np.max(np.abs(_z(found))) < 5
 
 
+def test_a_further_mode_that_is_not_there_is_refused(rng):
+    with pytest.raises(FitError, match="the ringing after the taps does not show 2 decaying modes above the noise"):
+        _one(one_tapped(rng, blows=2), modes=2)
+
+
 def test_a_further_mode_needs_the_force(rng):
     blows = tuple(Blow(0.2 + 2 * k, 2000.0, 0.003) for k in range(2))
     hammer = Hammer(noise=1.0, limit=300.0)
