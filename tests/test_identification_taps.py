@@ -187,6 +187,14 @@ def test_a_single_reading_of_the_force_that_stands_out_is_no_tap(rng):
     assert found.doubts == ()
 
 
+def test_a_recording_that_begins_while_the_hammer_pushes_gives_its_ringing(rng):
+    one = Tapping(ONE, np.array([1.0]), (Blow(0.2, 2000.0, 0.004),), Hammer(noise=1.0), np.array([2.0]), rate=5000.0)
+    whole = one.record(1.7, rng)
+    found = _one(whole.part(round(0.202 * 5000), whole.samples))  # at the peak
+    assert [tap.used for tap in found.taps.taps] == ["ringing"]
+    assert np.max(np.abs(_z(found))) < 5
+
+
 def test_damping_that_a_weak_and_short_ringing_hardly_tells_is_doubted(rng):
     one = Tapping(ONE, np.array([1.0]), (Blow(0.02, 600.0, 0.004),), noise=np.array([200.0]), rate=5000.0)
     found = _one(one.record(0.12, rng))

@@ -16,6 +16,7 @@ from aerobalance.identification.base_excitation.sine_dwell import find_dwells
 from aerobalance.identification.impact.shaker import identify_shaker
 from aerobalance.identification.step_relaxation.identify import identify_releases
 from aerobalance.identification.step_relaxation.record import release_record
+from aerobalance.motion.sensors import driving_sensors
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import DataQualityWarning, FitError
@@ -63,6 +64,12 @@ def test_dwells_need_a_record_without_gaps_and_a_ground_that_moves(shaken):
         find_dwells(changed(shaken, "AF", values=np.where(np.arange(2000) == 7, np.nan, 1.0)), component="AF")
     with pytest.raises(FitError, match="channel ground_acceleration does not change"):
         find_dwells(changed(shaken, "ground_acceleration", values=np.zeros(2000)), component="AF")
+
+
+def test_a_sensor_of_the_ground_without_a_reading_is_named(shaken):
+    dead = changed(shaken, "ground_acceleration", values=np.full(2000, np.nan))
+    with pytest.raises(FitError, match="noise: ground_acceleration has no reading; leave the channel out"):
+        driving_sensors(dead, "AF")
 
 
 def test_releases_of_two_sampling_rates_are_refused(shaken):

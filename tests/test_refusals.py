@@ -240,6 +240,14 @@ def test_modes_that_make_no_dynamics(poles, shapes, message):
     refused(lambda: dynamics_of_modes(poles, shapes), message, FitError)
 
 
+def test_dynamics_without_a_mass_know_of_no_weight():
+    pitch = np.linspace(-0.2, 0.2, 5)
+    assert not replace(COUPLED, mass=None).weight("NF", pitch=pitch, roll=0 * pitch, gravity=9.81).any()
+    assert COUPLED.weight("NF", pitch=pitch, roll=0 * pitch, gravity=9.81) == pytest.approx(
+        MASS.weight(pitch, 0 * pitch, gravity=9.81)[:, COMPONENTS.index("NF")]
+    )
+
+
 def test_modes_of_dynamics_make_these_dynamics():
     form = COUPLED.modal_form
     up = form.poles.imag > 0
