@@ -9,6 +9,7 @@ import pytest
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.error_sources import Systematic
 from aerobalance.estimation.force import estimate_force, force_record
 from aerobalance.estimation.forces import ForceSettings, forces_of
@@ -19,6 +20,7 @@ from aerobalance.simulation import SixComponentRig
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_components import Release, SixSimulation
 from aerobalance.simulation.six_signals import Band, broadband, random_motion
+from helpers.coupled_pair import NOISE, SIZE, pair, recording_of, shaken
 
 DURATION = 0.25
 
@@ -235,3 +237,48 @@ def test_a_weight_that_is_not_known_stays_in_the_forces(rng) -> None:
         # the mean of 2500 readings of noise 1e-4 of half range, five times its scatter
         limit = 5 * balance.noise * balance.half_range[place] / 50
         assert abs(estimate.values.mean() - weight[place]) < limit
+
+
+def test_errors_of_gain_and_zero_are_what_they_do_to_a_direct_inverse(rng):
+    """A direct inverse is linear in the readings: a change of a channel changes the force in proportion."""
+    dynamics = replace(pair(), mass=None)
+    _, felt, _ = shaken(rng, pair(), pitching=False)
+    loads = (felt + NOISE * rng.normal(size=felt.shape))[:600]
+
+    def forces(values: Array) -> Force:
+        record = recording_of(values)
+        known = {"NF": (0.01, 2.0, NOISE[0]), "PM": (0.02, 0.0, NOISE[1])}
+        channels = {
+            name: replace(one, relative_uncertainty=gain, zero_uncertainty=zero, noise=noise)
+            for (name, one), (gain, zero, noise) in zip(record.channels.items(), known.values(), strict=True)
+        }
+        return estimate_force(replace(record, channels=channels), dynamics, method="paper")
+
+    plain = forces(loads)
+    for place, name, deviation, change in (
+        (0, "gain of NF", 0.01, [0.01, 0.0]),
+        (1, "gain of PM", 0.02, [0.0, 0.02]),
+    ):
+        other = forces(loads * (1 + np.array(change)))
+        for component in ("NF", "PM"):
+            part = next(one for one in plain[component].contributions if one.name == name)
+            assert np.sqrt(part.covariance[0, 0]) == pytest.approx(deviation)
+            moved = other[component].values - plain[component].values
+            assert part.slopes[:, 0] * deviation == pytest.approx(moved, abs=1e-9 * SIZE[place] * np.abs(moved).max())
+    shifted = forces(loads + np.array([2.0, 0.0]))
+    (zero,) = [one for one in plain["NF"].contributions if one.name == "zero of NF"]
+    assert zero.deviation == pytest.approx(np.full(600, 2.0))
+    assert shifted["NF"].values - plain["NF"].values == pytest.approx(zero.slopes[:, 0] * 2.0, rel=1e-6)
+
+
+def test_a_long_gap_of_one_component_is_bridged_in_both(rng):
+    dynamics = replace(pair(), mass=None)
+    force, felt, _ = shaken(rng, pair(), pitching=False)
+    loads = (felt + NOISE * rng.normal(size=felt.shape))[:1200]
+    loads[500:760, 0] = np.nan  # so many that they are not found one by one
+    found = estimate_force(recording_of(loads), dynamics)
+    outside = np.r_[60:480, 780:1140]
+    for place, name in enumerate(("NF", "PM")):
+        score = (found[name].values - force[:1200, place]) / found[name].uncertainty
+        # the mean square of some 100 independent numbers, by chance beyond this once in 1e5
+        assert np.mean(score[outside] ** 2) < 1.9

@@ -34,6 +34,21 @@ def test_free_decay_is_the_released_oscillator(dynamics):
     assert dynamics.free_decay(time) == pytest.approx(integrated(dynamics, time, lambda t: 0.0, (1.0, 0.0)), abs=1e-8)
 
 
+@pytest.mark.parametrize("dynamics", [T128, HEAVY], ids=["6-EB-128-1", "overdamped"])
+def test_the_rate_of_a_free_decay_is_its_slope(dynamics):
+    time = np.linspace(0.1, 5, 400) / dynamics.natural_frequency
+    step = 1e-5 / dynamics.natural_frequency
+    (mode,) = dynamics.modes
+    slope = (mode.free_decay(time + step) - mode.free_decay(time - step)) / (2 * step)
+    # central differences: rounding of 1e-16 over 1e-5, and a square of 2 pi 1e-5 over 6
+    assert mode.free_decay_rate(time) == pytest.approx(slope, abs=1e-8 * dynamics.angular_frequency)
+
+
+def test_dynamics_show_their_further_modes():
+    shown = repr(T128.with_modes(Mode(171.0, 0.008, 0.1)))
+    assert "further mode 171 Hz, damping ratio 0.008, share 0.1" in shown
+
+
 def test_critical_damping_is_the_limit():
     time = np.linspace(0, 1, 200)
     w0 = CRITICAL.angular_frequency

@@ -10,6 +10,7 @@ from scipy.stats import chi2, norm
 
 from aerobalance.app.commands.identify_coupled import identify_decays
 from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.identification.coupled.conclusions import rigid_of
 from aerobalance.identification.coupled.free_response import FreeMotion
 from aerobalance.identification.coupled.internal_coordinates import (
     held_states,
@@ -26,7 +27,7 @@ from aerobalance.identification.step_relaxation.model import Segment, linearise
 from aerobalance.io import write_recording
 from aerobalance.io.dynamics_file import read_coupled
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.components import si_unit
+from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation.six_balance import random_balance
@@ -42,6 +43,7 @@ from helpers.bending_releases import (
     structure,
     truth,
 )
+from helpers.rigid_balance import truth as balance_truth
 
 NEVER = 1e-5
 """Probability with which a test of chance may fail for a fresh seed."""
@@ -145,6 +147,29 @@ def test_slow_motion_and_shares():
     shares = static_contributions(true.modal_form)
     assert shares.sum() == pytest.approx(2)
     assert static_contributions(rigid().modal_form) == pytest.approx([1, 1], abs=0.02)  # 1 but for the damping
+
+
+def _with_a_mode_of_the_sting(inertia: Array) -> CoupledDynamics:
+    """Six components with a seventh coordinate of its own at 900 Hz, known to 1e-4 and 1e-3."""
+    A, D = np.zeros((2, 7, 7))
+    A[:6, :6], D[:6, :6] = inertia, balance_truth().damping
+    A[6, 6], D[6, 6] = (2 * np.pi * 900) ** -2.0, 0.01 / (2 * np.pi * 900)
+    u = np.concatenate([(1e-4 * np.abs(A) + 1e-9 * A.max()).ravel(), (1e-3 * np.abs(D) + 1e-9).ravel()])
+    return CoupledDynamics(COMPONENTS, A, D, np.diag(u**2))
+
+
+def test_the_mass_below_a_mode_of_the_sting_is_that_of_the_rigid_part():
+    true = balance_truth()
+    rigid, notes = rigid_of(_with_a_mode_of_the_sting(true.inertia), 20.0)
+    assert rigid.mass.values == pytest.approx(true.mass.values, rel=1e-6, abs=1e-7)
+    assert rigid.reciprocity is None  # damping above slow motion is not looked at
+    assert notes == []
+    bent = true.inertia.copy()
+    bent[0, 2] *= 1.5
+    bent[2, 4] += 0.3 * bent[2, 2]
+    (note,) = rigid_of(_with_a_mode_of_the_sting(bent), 20.0)[1]
+    assert "taken from slow motion" in note
+    assert "not that of a rigid mass" in note
 
 
 def test_force_error_with_hidden_coordinates():

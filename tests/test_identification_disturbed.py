@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,13 @@ from scipy.stats import binom, chi2, norm
 from aerobalance.app.commands.identify import identify_decay as identify_command
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.identification.free_decay.driven import driven
+from aerobalance.identification.free_decay.event import first_look
 from aerobalance.identification.free_decay.fit import DecayFit, identify_decay
+from aerobalance.identification.free_decay.law import LAWS
+from aerobalance.identification.free_decay.ring_fit import fit_ring, freed
+from aerobalance.identification.free_decay.waveform import DecayLine, columns_of
+from aerobalance.identification.free_decay.window import _fall, _odd, _richer
 from aerobalance.io import write_recording
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.doubts import Verdict
@@ -165,6 +172,48 @@ def test_damping_that_depends_on_the_amplitude_is_a_law_at_any_rate(power, drift
         assert abs(other.damping_ratio - fit.dynamics.damping_ratio) < 2 * max(
             np.hypot(u, other.uncertainty("damping_ratio")), 1e-9
         )
+
+
+@pytest.mark.parametrize("law", LAWS)
+def test_a_trial_that_rises_without_end_by_a_law_is_of_numbers(law):
+    """Such a trial once ended the search in an error about infinities, where it should only fit worse."""
+    time = np.arange(4000) / RATE
+    for share in (-2.0, 0.5, 3.0):
+        columns = columns_of(time, "free", np.array([-20.0, 400.0, share, 0.1]), (), begin=0.0, law=law)
+        assert np.isfinite(columns.T @ columns).all()
+
+
+def test_a_law_whose_search_goes_astray_is_not_taken(rng):
+    """Beside a mode of -0.6 of the load it left nine times the squares that are left without one."""
+    time, other = np.arange(1600) / RATE, Dynamics("AF", 1.0, (2 * np.pi * 171.0) ** 2, 2 * 0.008 * 2 * np.pi * 171.0)
+    load = HEIGHT * (1.6 * T128.free_decay(time - RELEASE) - 0.6 * other.free_decay(time - RELEASE))
+    load += rng.normal(0, 5.0, load.size)
+    ring = fit_ring(time, load, first_look(load, rate=RATE, name="two modes"))
+    first, _, _ = _richer(ring)
+    assert first.squares <= ring.squares
+
+
+def test_what_is_no_line_beside_a_ringing(rng):
+    load = HEIGHT * T128.free_decay(np.arange(3200) / RATE - RELEASE) + rng.normal(0, 10.0, 3200)
+    ring = fit_ring(np.arange(3200) / RATE, load, first_look(load, rate=RATE, name="clean"))
+
+    def odd(*lines: DecayLine) -> bool:
+        return _odd(replace(ring, lines=lines), ring)
+
+    assert not odd(DecayLine(171.0, 5.0))
+    assert odd(DecayLine(ring.frequency + 0.01, 0.0))  # a part of the ringing
+    assert odd(DecayLine(171.0, 0.0), DecayLine(171.1, 0.0))  # of another line: 1.5 s tell lines 0.7 Hz apart
+    assert odd(DecayLine(1.0, 0.0))  # a drift: 1.5 periods
+    assert odd(DecayLine(171.0, 0.5 * 2 * np.pi * 171.0))  # no mode of a structure is damped by half
+
+
+def test_a_ringing_of_a_few_periods_tells_no_force_that_drives_it(rng):
+    """In 0.1 s there are six periods: no level that changes for good, and fewer ordinates than what is sought."""
+    time = np.arange(160) / RATE
+    load = HEIGHT * T128.free_decay(time + 0.01) + rng.normal(0, 10.0, time.size)
+    ring = fit_ring(time, load, first_look(load, rate=RATE, name="short"))
+    assert _fall(time, load, ring) is None
+    assert driven(freed(ring)) is None
 
 
 def oscillator(rng: np.random.Generator, *, friction: float = 0.0, hardening: float = 0.0) -> Recording:

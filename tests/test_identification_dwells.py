@@ -1,5 +1,7 @@
 """Stepped-sine records: dwells found, amplitudes fitted, deviations split; the paper's own lines."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -104,3 +106,15 @@ def test_no_dwells_in_a_record_without(rng):
         reference_fit((), mass=1.0)
     with pytest.raises(ValueError, match="relative or absolute"):
         reference_fit((), mass=1.0, phase="both")
+
+
+def test_dwells_that_do_not_go_with_the_mass_or_lack_a_channel(rng):
+    """With a mass M' the abscissa of Eq. (15) is 1 - M'/M (1 - (f/f0)^2): far below f0 negative for one too large."""
+    recording = shake(SteppedSine((200.0, 240.0, 280.0), settle=0.05, hold=0.35), rng)
+    with pytest.raises(FitError, match=r"the line of Eq. \(15\) has the slope -.* must be positive"):
+        reference_fit(find_dwells(recording), mass=3 * TRUE.mass)
+    with pytest.raises(ValueError, match="mass must be positive"):
+        reference_fit(find_dwells(recording), mass=0.0)
+    bare = {name: channel for name, channel in recording.channels.items() if name != "live_acceleration"}
+    with pytest.raises(FitError, match="needs a live accelerometer"):
+        reference_fit(find_dwells(replace(recording, channels=bare)), mass=TRUE.mass, phase="absolute")

@@ -17,7 +17,7 @@ from aerobalance.identification.from_stiffness import compare_coupled, coupled_f
 from aerobalance.identification.rigid_body import centre_agreement, rigid_mass_of
 from aerobalance.identification.step_relaxation.identify import identify_releases
 from aerobalance.identification.step_relaxation.model import Segment, linearise
-from aerobalance.identification.step_relaxation.record import ROUNDING
+from aerobalance.identification.step_relaxation.record import ROUNDING, release_record
 from aerobalance.io import write_recording
 from aerobalance.io.dynamics_file import read_coupled
 from aerobalance.recording.channel import Array
@@ -118,6 +118,15 @@ def test_a_release_that_takes_time(rng):
         if release.kind == "ramp":
             assert release.duration == pytest.approx(0.003, abs=2e-4)
     assert any(release.kind == "ramp" for release in fit.releases)
+
+
+def test_a_release_soon_after_the_record_begins_is_found(rng):
+    """Where some thirty readings are held at most, they are too few to sharpen the instant by."""
+    (whole,) = releases(truth(), rng, along=("NF",))
+    instant = release_record(whole, COMPONENTS).onset
+    for cut in (instant - 32, instant - 24):
+        found = release_record(whole.part(cut, whole.samples), COMPONENTS)
+        assert abs(found.onset - (instant - cut)) <= 4  # the readings that a free decay begins after an onset
 
 
 def test_a_blow_is_used_from_where_it_decays_freely(rng):

@@ -13,6 +13,7 @@ from scipy.stats import chi2
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force import estimate_force
+from aerobalance.identification.base_excitation.frf_model import Parameters, response
 from aerobalance.identification.base_excitation.rig import identify_rig
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
@@ -400,9 +401,20 @@ def test_mode_that_is_left_out_is_named(rng):
     assert any("further mode at" in text and "`modes='auto'` looks for it" in text for text in texts), texts
 
 
+def test_modes_respond_alike_whichever_leads(rng):
+    values = np.concatenate([[np.log(5.0), np.log(400.0), 0.02, 0.1], [np.log(900.0), 0.01, 0.3], rng.normal(size=6)])
+    one = Parameters(np.array(values), 400.0)
+    other = one.led_by(1)
+    w = np.linspace(50.0, 1500.0, 200)
+    assert response(other, w) == pytest.approx(response(one, w), rel=1e-12)
+    assert other.shares == pytest.approx([0.3, 0.7])
+    assert np.exp(other.values[1]) == pytest.approx(900.0)
+
+
 def test_strongest_mode_leads(rng):
     # Most of the load goes through the second mode, whatever the search meets first.
-    fit, _ = said(several(rng, Mode(165.0, 0.004, 0.7)), modes="auto")
+    fit, _ = said(several(rng, Mode(165.0, 0.004, 0.7)), modes="auto", delay=0.0)
+    assert fit.dynamics.delay == 0.0
     assert fit.dynamics.natural_frequency == pytest.approx(165.0, rel=1e-3)
     (other,) = fit.dynamics.further_modes
     assert other.natural_frequency == pytest.approx(LARGE.natural_frequency, rel=1e-3)

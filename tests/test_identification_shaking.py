@@ -179,6 +179,44 @@ def test_a_wrong_mass_is_noticed(rng):
     assert found.dynamics.mass.mass == pytest.approx(20.0, rel=1e-2)
 
 
+@pytest.mark.parametrize("mass", [None, (20.0, 0.01)])
+def test_a_wrong_sign_of_the_ground_is_noticed(mass, rng):
+    recording = shaken(rng)
+    turned = {
+        name: replace(channel, values=-channel.values) if name in GROUND_CHANNELS else channel
+        for name, channel in recording.channels.items()
+    }
+    found = identified(replace(recording, channels=turned), mass=mass)
+    (note,) = found.notes
+    assert re.search(r"imply a negative mass, -(19\.9|20\.0|20 ).*kg.* have the other sign", note)
+    assert found.rigid.mass is None
+    assert within(squares_of(found), 72)  # A and D do not depend on it
+
+
+def test_a_band_that_is_asked_for_is_kept_to(rng):
+    recording = shaken(rng)
+    found = identified(recording, band=(30.0, 550.0))
+    (shake,) = found.shakes
+    assert 30.0 <= shake.band[0] < shake.band[1] <= 550.0
+    assert within(squares_of(found), 72)
+    with pytest.raises(FitError, match=r"at \d+ frequencies of the record in the band; at least 256"):
+        identified(recording, band=(15.0, 60.0))
+
+
+def test_the_longest_stretch_without_a_gap_is_used(rng):
+    recording = shaken(rng)
+    load = recording.channel("NF")
+    values = load.values.copy()
+    values[700:760] = np.nan
+    made = replace(recording, channels={**recording.channels, "NF": replace(load, values=values)})
+    with pytest.warns(DataQualityWarning, match="2240 of 3000 samples in a row are used"):
+        found = identify_shaking([made])  # without half ranges as well: the largest changes of load serve
+    (shake,) = found.shakes
+    assert shake.duration == pytest.approx((SAMPLES - 760) / RATE, abs=1.5 / RATE)
+    assert within(squares_of(found), 72)
+    assert not found.half_range_given
+
+
 def test_a_mass_that_is_not_rigid_is_noticed(rng):
     extra = np.zeros((6, 6))
     extra[0, 0] = 0.5  # heavier along NF, as a live end of its own is
@@ -216,6 +254,11 @@ def test_what_is_no_shaking_is_refused(rng):
         identified()
     with pytest.raises(ValueError, match="two frequencies in rising order"):
         identified(recording, band=(100.0, 50.0))
+    with pytest.raises(ValueError, match="half_range must give a positive value for PM, SF"):
+        identify_shaking([recording], half_range={"NF": 1.0})
+    with pytest.raises(FitError, match=r"no shake moves .*so 6 of 6 modes stay unknown"):
+        noise = {name: replace(one, values=rng.normal(size=recording.samples)) for name, one in loads.items()}
+        identified(replace(recording, channels={**recording.channels, **noise}))
 
 
 def test_the_command_writes_what_force_reads(tmp_path, capsys, rng):

@@ -14,7 +14,7 @@ from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.identification.coupled.least_squares import motion_of
 from aerobalance.identification.impact.tap_model import Common, Point, Tap, linearise_tap
-from aerobalance.recording.errors import FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.simulation.drives import band_noise
 from aerobalance.simulation.hammer import Blow, Hammer, Tapping
 from aerobalance.simulation.six_balance import random_balance
@@ -116,6 +116,35 @@ def test_taps_that_are_all_double_are_refused(rng):
         _one(one_tapped(rng, blows=3, extra=bounced))
 
 
+def test_a_tap_at_the_very_end_is_refused(rng):
+    late = Tapping(ONE, np.array([1.0]), (Blow(0.99, 2000.0, 0.004),), noise=np.array([2.0]), rate=5000.0)
+    with pytest.raises(FitError, match="no tap is followed by 64 usable readings"):
+        _one(late.record(1.0, rng))
+
+
+@pytest.mark.parametrize(("instant", "limit"), [(0.0005, np.inf), (0.3, 300.0)], ids=["no reading before it", "limit"])
+def test_where_no_force_can_be_used_the_ringing_tells_the_dynamics(instant, limit, rng):
+    hammer = Hammer(noise=1.0, limit=limit)
+    one = Tapping(ONE, np.array([1.0]), (Blow(instant, 2000.0, 0.004),), hammer, np.array([2.0]), rate=5000.0)
+    found = _one(one.record(1.5, rng))
+    assert [tap.used for tap in found.taps.taps] == ["ringing"]
+    assert found.taps.gain is None
+    assert np.max(np.abs(_z(found))) < 5
+
+
+def test_a_further_mode_that_is_not_there_is_refused(rng):
+    with pytest.raises(FitError, match="the ringing after the taps does not show 2 decaying modes above the noise"):
+        _one(one_tapped(rng, blows=2), modes=2)
+
+
+def test_a_further_mode_needs_the_force(rng):
+    blows = tuple(Blow(0.2 + 2 * k, 2000.0, 0.003) for k in range(2))
+    hammer = Hammer(noise=1.0, limit=300.0)
+    record = Tapping(_TwoModes(), np.array([1.0]), blows, hammer, np.array([2.0]), rate=5000.0).record(4.2, rng)
+    with pytest.raises(FitError, match="needs taps of measured force, and that of none can be used"):
+        _one(record, modes=2)
+
+
 def test_taps_that_disagree_are_doubted_and_the_spread_is_counted(rng):
     records = []
     for peak, factor in ((3000.0, 1.1), (400.0, 1.0)):
@@ -128,6 +157,51 @@ def test_taps_that_disagree_are_doubted_and_the_spread_is_counted(rng):
     assert "larger after stronger taps" in doubt.text
     assert found.verdict == "doubtful"
     assert abs(found.dynamics.damping / DAMPING - 1.05) < 2.5 * found.dynamics.uncertainty("damping") / DAMPING
+
+
+@pytest.mark.parametrize(("blows", "apart"), [(4, 1), (2, 2)])
+def test_one_tap_whose_force_is_off_is_left_out_alone_where_others_agree(blows, apart, rng):
+    """Of two that differ by two percent none is known to be right."""
+    record = one_tapped(rng, blows=blows)
+    force = record.channel("impact_force")
+    values = force.values.copy()
+    values[: round(1.2 * record.rate)] *= 1.02  # the first comes at 0.4 s at the latest, the second at 1.8 s
+    found = _one(replace(record, channels={**record.channels, "impact_force": replace(force, values=values)}))
+    assert found.doubts[0].kind == "tap apart"
+    assert [tap.used for tap in found.taps.taps] == ["ringing"] * apart + ["force and ringing"] * (blows - apart)
+    assert np.max(np.abs(_z(found))) < 5
+    if apart < blows:
+        assert len(found.doubts) == 1
+        assert abs(found.taps.gain[0] - 1) < 5 * found.taps.gain[1] < 0.005
+
+
+def test_a_single_reading_of_the_force_that_stands_out_is_no_tap(rng):
+    record = one_tapped(rng, blows=2)
+    force = record.channel("impact_force")
+    values = force.values.copy()
+    spike = round(0.15 * record.rate)
+    values[spike - 3 : spike + 4] = 0.0
+    values[spike] = 500.0
+    found = _one(replace(record, channels={**record.channels, "impact_force": replace(force, values=values)}))
+    assert len(found.taps.taps) == 2
+    assert found.doubts == ()
+
+
+def test_a_recording_that_begins_while_the_hammer_pushes_gives_its_ringing(rng):
+    one = Tapping(ONE, np.array([1.0]), (Blow(0.2, 2000.0, 0.004),), Hammer(noise=1.0), np.array([2.0]), rate=5000.0)
+    whole = one.record(1.7, rng)
+    found = _one(whole.part(round(0.202 * 5000), whole.samples))  # at the peak
+    assert [tap.used for tap in found.taps.taps] == ["ringing"]
+    assert np.max(np.abs(_z(found))) < 5
+
+
+def test_damping_that_a_weak_and_short_ringing_hardly_tells_is_doubted(rng):
+    one = Tapping(ONE, np.array([1.0]), (Blow(0.02, 600.0, 0.004),), noise=np.array([200.0]), rate=5000.0)
+    found = _one(one.record(0.12, rng))
+    (doubt,) = found.doubts
+    assert doubt.kind == "damping hardly told"
+    assert doubt.effect == pytest.approx(found.dynamics.uncertainty("damping") / found.dynamics.damping)
+    assert found.verdict != "fit for use"
 
 
 class _TwoModes:
@@ -164,6 +238,36 @@ def test_a_shaker_on_the_model_tells_one_component(rng):
     assert _within(float(np.sum(np.square(z))), 2 * count)
 
 
+def _shaken(rng: np.random.Generator, *, gain: float = 1.0) -> ab.Recording:
+    """AF of T-128 with 2 N of noise, pushed by 100 N from 10 to 300 Hz for 3 s."""
+    push = band_noise(rng, low=10.0, high=300.0, rms=100.0, period=4.0)
+    hammer = Hammer(noise=1.0, gain=gain)
+    return Tapping(ONE, np.array([1.0]), (), hammer=hammer, noise=np.array([2.0]), rate=5000.0, shaker=push).record(
+        3.0, rng
+    )
+
+
+def test_a_gain_of_the_shakers_force_is_named_and_does_no_harm(rng):
+    found = _one(_shaken(rng, gain=1.1))
+    assert [doubt.kind for doubt in found.doubts] == ["force gain"]
+    gain, u = found.taps.gain
+    assert abs(gain * 1.1 - 1) < 6 * u < 0.01
+    assert np.max(np.abs(_z(found))) < 5
+
+
+def test_a_shaker_that_tells_nothing_is_refused(rng):
+    shaken = _shaken(rng)
+    load = shaken.channel("AF")
+    idle = replace(load, values=rng.normal(size=shaken.samples))
+    with pytest.raises(FitError, match="the load does not answer the force"):
+        _one(replace(shaken, channels={**shaken.channels, "AF": idle}))
+    with pytest.raises(ValueError, match="a shaker is fitted in one recording at a time, not in 2"):
+        _one([shaken, shaken])
+    two = replace(shaken, channels={**shaken.channels, "NF": replace(load, name="NF")})
+    with pytest.raises(FitError, match="several components are identified from taps"):
+        quietly(two, components=["NF", "AF"], points=UP)
+
+
 def test_two_modes_closer_than_their_width_are_resolved(rng):
     blows = tuple(Blow(0.2 + 2 * k, 2000.0, 0.003) for k in range(4))
     record = Tapping(_TwoModes(), np.array([1.0]), blows, noise=np.array([2.0]), rate=5000.0).record(8.2, rng)
@@ -184,24 +288,59 @@ def _values(mode: Mode) -> tuple[float, float, float]:
     return mode.natural_frequency, mode.damping_ratio, mode.share
 
 
-def test_coupled_components_with_close_modes_are_told_with_true_uncertainties(rng):
+def _pair(apart: float) -> CoupledDynamics:
+    """NF and SF with modes at 60 Hz and at a multiple of it."""
     w, turn = 2 * np.pi * 60.0, np.array([[np.cos(0.6), -np.sin(0.6)], [np.sin(0.6), np.cos(0.6)]])
-    inertia = turn @ np.diag([1 / w**2, 1 / (1.005 * w) ** 2]) @ turn.T
-    damping = turn @ np.diag([0.02 / w, 0.03 / (1.005 * w)]) @ turn.T
-    truth = CoupledDynamics(("NF", "SF"), inertia, damping)
+    inertia = turn @ np.diag([1 / w**2, 1 / (apart * w) ** 2]) @ turn.T
+    damping = turn @ np.diag([0.02 / w, 0.03 / (apart * w)]) @ turn.T
+    return CoupledDynamics(("NF", "SF"), inertia, damping)
+
+
+def _along(way: tuple[float, float, float]) -> ab.TapPoint:
+    return ab.TapPoint((0.0, 0.0, 0.0), way, u_place=0.0)
+
+
+UP, RIGHT, ASLANT = _along((0.0, 0.0, 1.0)), _along((0.0, 1.0, 0.0)), _along((0.0, 0.6, 0.8))
+
+
+def _tapped(rng: np.random.Generator, dynamics: CoupledDynamics, point: ab.TapPoint, *instants: float) -> ab.Recording:
+    """NF and SF with 1 N of noise, tapped by 1000 N for 3 ms."""
+    blows = tuple(Blow(instant, 1000.0, 0.003) for instant in instants)
+    one = Tapping(dynamics, point.loads[[0, 2]], blows, noise=np.ones(2), rest=np.zeros(2), rate=4000.0)
+    return one.record(max(instants) + 1.5, rng)
+
+
+def test_coupled_components_with_close_modes_are_told_with_true_uncertainties(rng):
+    truth = _pair(1.005)
     count, squares = trials(1, 40), 0.0
     for _ in range(count):
-        records, points = [], []
-        for way in ((0.0, 0.0, 1.0), (0.0, 1.0, 0.0)):
-            points.append(ab.TapPoint((0.0, 0.0, 0.0), way, u_place=0.0))
-            blows = tuple(Blow(0.2 + 1.5 * k, 1000.0, 0.003) for k in range(2))
-            one = Tapping(truth, points[-1].loads[[0, 2]], blows, noise=np.ones(2), rest=np.zeros(2), rate=4000.0)
-            records.append(one.record(3.2, rng))
-        found = quietly(records, components=["NF", "SF"], points=points)
+        records = [_tapped(rng, truth, point, 0.2, 1.7) for point in (UP, RIGHT)]
+        found = quietly(records, components=["NF", "SF"], points=[UP, RIGHT])
         frequencies = [mode.natural_frequency for mode in found.modes]
         assert frequencies == pytest.approx([60.0, 60.3], abs=1e-3)
         squares += departures(found, truth)[1] * 8
     assert _within(squares, 8 * count)
+
+
+def test_a_point_with_double_hits_alone_is_left_out(rng):
+    truth = _pair(1.3)
+    records = [_tapped(rng, truth, UP, 0.2), _tapped(rng, truth, RIGHT, 0.2), _tapped(rng, truth, ASLANT, 0.2, 0.23)]
+    found = quietly(records, components=["NF", "SF"], points=[UP, RIGHT, ASLANT])
+    assert [doubt.kind for doubt in found.doubts] == ["double hit"]
+    assert [tap.used for tap in found.taps.taps] == ["force and ringing", "force and ringing", "nothing"]
+    assert _within(departures(found, truth)[1] * 8, 8)
+
+
+def test_a_wrong_direction_is_named_with_the_loads_found_where_six_are_not_known(rng):
+    truth = _pair(1.3)
+    records = [_tapped(rng, truth, UP, 0.2), _tapped(rng, truth, RIGHT, 0.2), _tapped(rng, truth, RIGHT, 0.2)]
+    found = quietly(records, components=["NF", "SF"], points=[UP, RIGHT, ASLANT])
+    (doubt,) = found.doubts
+    assert doubt.kind == "tap point"
+    assert str(ASLANT) in doubt.text
+    shown = doubt.text.split("SF by ")[1].split(")")[0]
+    assert float(shown) == pytest.approx(1.0, abs=0.01)  # 1 N along SF, by a hammer that is known to 1 %
+    assert _within(departures(found, truth)[1] * 8, 8)
 
 
 @pytest.mark.soak(first=0)
@@ -287,6 +426,38 @@ def test_wrong_calls_say_what_is_needed(rng):
     bare = replace(record, channels={"AF": record.channel("AF")})
     with pytest.raises(FitError, match="has no impact_force"):
         ab.identify(bare, components=["AF"], mass=MASS, excitation="impact")
+
+
+def test_loads_that_tell_nothing_of_a_tap_are_refused(rng):
+    record = one_tapped(rng, blows=1)
+    few = np.full(record.samples, np.nan)
+    few[:10] = 1.0
+    for values, message in (
+        (rng.normal(size=record.samples), "the loads do not ring after the taps"),
+        (few, "fewer than 64 usable readings of AF"),
+    ):
+        load = replace(record.channel("AF"), values=values)
+        with pytest.raises(FitError, match=message):
+            _one(replace(record, channels={**record.channels, "AF": load}))
+    alone = CoupledDynamics.of_components([Dynamics(name, 100.0, 1e7, 500.0) for name in ("NF", "SF")])
+    with pytest.raises(FitError, match=r"no tap moves SF .*add taps that load SF"):
+        quietly(_tapped(rng, alone, UP, 0.2), components=["NF", "SF"], points=UP)
+
+
+def test_readings_of_a_load_at_a_limit_are_left_out_and_told(rng):
+    record = one_tapped(rng, blows=2)
+    load = record.channel("AF")
+    limit = float(np.abs(load.values).max()) / 2
+    cut = replace(load, values=np.clip(load.values, -limit, limit))
+    with pytest.warns(DataQualityWarning, match="readings of AF rest on a limit; they are left out"):
+        found = ab.identify(
+            replace(record, channels={**record.channels, "AF": cut}),
+            components=["AF"],
+            mass=MASS,
+            excitation="impact",
+        )
+    assert abs(found.dynamics.stiffness / STIFFNESS - 1) < 1e-4
+    assert abs(found.dynamics.damping / DAMPING - 1) < 2e-2
 
 
 @pytest.mark.parametrize(("noise", "force_noise"), [(0.0, 0.0), (2.0, 0.0), (0.0, 1.0), (2.0, 1.0)])

@@ -120,6 +120,17 @@ class Lines:
         self.files = {module.__file__ for module in modules}
         self.run: set[tuple[str, int]] = set()
 
+    def of(self, work: Callable[[], list[Any]]) -> list[Any]:
+        """What a work gives, with its lines noted; whoever traces all tests (`make coverage`) sees it as well."""
+        before = sys.gettrace()
+        if before is not None:
+            work()
+        sys.settrace(self.trace)
+        try:
+            return work()
+        finally:
+            sys.settrace(before)
+
     def trace(self, frame: FrameType, event: str, _: object) -> Callable[..., Any] | None:
         if frame.f_code.co_filename not in self.files:
             return None
@@ -152,12 +163,7 @@ def test_compiled_and_plain_kernels_agree(rng, plain, monkeypatch):
     for module in (kalman, blocks, model_draws):
         monkeypatch.setattr(module, "_kernels", plain[0])
     monkeypatch.setattr("aerobalance.estimation.live.filter.kernels", plain[1])
-    before = sys.gettrace()
-    sys.settrace(lines.trace)
-    try:
-        interpreted = [whole_record(readings), live(live_readings)]
-    finally:
-        sys.settrace(before)
+    interpreted = lines.of(lambda: [whole_record(readings), live(live_readings)])
     for ones, others, count in zip(compiled, interpreted, (readings.size, live_readings.size), strict=True):
         for one, other in zip(ones, others, strict=True):
             np.testing.assert_allclose(one, other, rtol=0, atol=4 * 6 * count * ROUNDING * np.max(np.abs(one)))
@@ -183,12 +189,7 @@ def test_compiled_and_plain_kernels_of_spectra_agree(rng, plain):
     numbers = rng.exponential(size=(30, 6)), np.cumsum(rng.normal(0, 0.2, 80)), rng.normal(size=(3, 5))
     numbers += (rng.normal(size=(7, 40)),)
     lines = Lines(plain[2])
-    before = sys.gettrace()
-    sys.settrace(lines.trace)
-    try:
-        interpreted = spectral(plain[2], numbers)
-    finally:
-        sys.settrace(before)
+    interpreted = lines.of(lambda: spectral(plain[2], numbers))
     for one, other in zip(spectral(spectral_kernels, numbers), interpreted, strict=True):
         np.testing.assert_allclose(one, other, rtol=0, atol=100 * 40 * ROUNDING * np.max(np.abs(one)))
     assert not lines.missed

@@ -181,6 +181,18 @@ def test_weight_of_a_weighing_is_taken_off_where_it_is_known(balance: BalanceMat
         reduce_outputs(run, balance, zero=Zero(rest, model_on=True), tare=weighing)
 
 
+def test_loads_less_wind_off_loads_have_no_gravity_left(balance: BalanceMatrix, rng) -> None:
+    extra = {"pitch": ("rad", np.full(800, 0.1)), "ground_acceleration": ("m/s^2", rng.normal(0, 0.01, 800))}
+    run = recorded(rng.normal(0, NOISE, (800, 6)), extra=extra)
+    loads = loads_of_outputs(run, balance, zero=NONE)
+    assert loads.name in repr(loads)
+    assert set(loads.without_gravity.recording.channels) == set(loads.recording.channels) - {"pitch"}
+    ground = replace(loads.recording.channel("ground_acceleration"), coupling="dc")
+    reading = replace(loads.recording, channels={**loads.recording.channels, ground.name: ground})
+    with pytest.raises(FitError, match="ground_acceleration is dc-coupled and reads gravity"):
+        _ = replace(loads, recording=reading).without_gravity
+
+
 def test_a_zero_says_whether_the_model_was_on(balance: BalanceMatrix) -> None:
     with pytest.raises(ValueError, match="model_on"):
         loads_of_outputs(recorded(np.zeros((100, 6))), balance, zero=replace(NONE, model_on=None))

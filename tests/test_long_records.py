@@ -273,6 +273,18 @@ def test_a_constant_record_stays_constant(value):
     assert not found.steps
 
 
+def test_hum_of_all_parts_is_one_line(rng):
+    record, time = run(rng), np.arange(14_000) / RATE
+    load = record.channel("AF")
+    humming = replace(load, values=load.values + 20.0 * np.sin(2 * np.pi * 150 * time + 1))
+    settings = ForceSettings(hum=(150.0,))
+    (line,) = divided(replace(record, channels={"AF": humming}), settings=settings).force().only.hum
+    # 2 N of noise in 7000 readings leave 2 sqrt(2 / 7000) = 0.03 N of an amplitude, and sqrt(6) / (pi T) of 0.03 / 20
+    # of a frequency over T = 4.4 s
+    assert line.amplitude == pytest.approx(20.0, abs=0.2)
+    assert line.frequency == pytest.approx(150.0, abs=2e-3)
+
+
 def test_parts_that_contradict_each_other_are_told(rng):
     """Where the second part's readings jump by a slow drift of the amplifier, each part takes another level."""
     record = run(rng)

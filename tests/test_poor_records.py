@@ -16,6 +16,7 @@ from aerobalance.identification.base_excitation.sine_dwell import find_dwells
 from aerobalance.identification.impact.shaker import identify_shaker
 from aerobalance.identification.step_relaxation.identify import identify_releases
 from aerobalance.identification.step_relaxation.record import release_record
+from aerobalance.motion.sensors import driving_sensors
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import DataQualityWarning, FitError
@@ -65,6 +66,12 @@ def test_dwells_need_a_record_without_gaps_and_a_ground_that_moves(shaken):
         find_dwells(changed(shaken, "ground_acceleration", values=np.zeros(2000)), component="AF")
 
 
+def test_a_sensor_of_the_ground_without_a_reading_is_named(shaken):
+    dead = changed(shaken, "ground_acceleration", values=np.full(2000, np.nan))
+    with pytest.raises(FitError, match="noise: ground_acceleration has no reading; leave the channel out"):
+        driving_sensors(dead, "AF")
+
+
 def test_releases_of_two_sampling_rates_are_refused(shaken):
     slower = Recording.from_arrays(np.arange(2000) / 1000, {name: shaken.channel(name).values for name in COMPONENTS})
     with pytest.raises(ValueError, match="one sampling rate, not 1000 to 2000 Hz"):
@@ -92,6 +99,15 @@ def test_a_zero_needs_samples_with_all_outputs():
         gauge_zero([empty], random_balance(1), model_on=False)
 
 
+def test_a_zero_of_two_readings_has_the_uncertainty_of_their_mean():
+    balance, readings = random_balance(1), np.array([0.01, 0.03])
+    names = ("N1", "N2", "S1", "S2", "RM", "AF")
+    channels = {f"r{name}": Channel(f"r{name}", readings, "mV/V") for name in names}
+    found = gauge_zero([Recording.from_columns(np.arange(2) / 10, channels, name="two")], balance, model_on=False)
+    # of two readings 2 d apart the standard deviation is d sqrt(2), and that of their mean d
+    assert found.u == pytest.approx(np.full(6, 0.01))
+
+
 def test_a_force_that_loads_another_component_is_named(rng):
     with pytest.raises(FitError, match="does not load AF"):
         identify_shaker(one_tapped(rng, blows=1), component="AF", mass=MASS, modes=1, point=POINTS[0])
@@ -99,12 +115,13 @@ def test_a_force_that_loads_another_component_is_named(rng):
 
 def test_a_hammer_with_too_few_readings(rng):
     record = one_tapped(rng, blows=1)
-    force = np.full(record.samples, np.nan)
-    force[:20] = 0.0
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DataQualityWarning)
-        with pytest.raises(FitError, match="readings; a tap needs many more"):
-            ab.identify(changed(record, "impact_force", values=force), mass=MASS, excitation="impact")
+    for count in (20, 0):
+        force = np.full(record.samples, np.nan)
+        force[:count] = 0.0
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DataQualityWarning)
+            with pytest.raises(FitError, match=f"has {count} readings; a tap needs many more"):
+                ab.identify(changed(record, "impact_force", values=force), mass=MASS, excitation="impact")
 
 
 def test_a_release_that_never_came(rng):

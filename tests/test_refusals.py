@@ -18,14 +18,16 @@ from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.identification.base_excitation.paper_procedure import reference_fit
 from aerobalance.identification.base_excitation.shaking import identify_shaking
+from aerobalance.identification.coupled.conclusions import rigid_of
 from aerobalance.identification.from_modes import dynamics_of_modes, one_of_pole
-from aerobalance.identification.from_stiffness import compare_coupled, coupled_from_stiffness
+from aerobalance.identification.from_stiffness import agreement, compare_coupled, coupled_from_stiffness
 from aerobalance.identification.impact.tap_point import TapPoint
 from aerobalance.identification.impact.taps import identify_taps
 from aerobalance.identification.rigid_body import rigid_mass_of
 from aerobalance.recording.components import COMPONENTS
-from aerobalance.recording.errors import FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.simulation.calibration_stand import CalibrationStand, random_balance
+from helpers.bending_releases import truth as bending
 from helpers.rigid_balance import balance, truth
 
 MASS, STIFFNESS, _ = balance()
@@ -142,6 +144,10 @@ def test_stiffness_and_damping_that_make_no_dynamics():
 def test_dynamics_that_cannot_be_compared():
     parts = [replace(SINGLE, component=name) for name in ("NF", "AF")]
     refused(lambda: compare_coupled(COUPLED, CoupledDynamics.of_components(parts)), "different components: .*; NF|AF")
+    refused(
+        lambda: compare_coupled(bending(), CoupledDynamics.of_components(parts)),
+        "one of the dynamics has modes beyond the components",
+    )
 
 
 @pytest.mark.parametrize(
@@ -161,6 +167,18 @@ def test_taps_of_which_too_little_is_said():
     refused(lambda: identify_taps([LOADS], components=("AF",), mass=(0.0, 0.1)), "mass must be positive")
     refused(lambda: identify_taps([SIX], components=("NF", "AF"), mass=1.0), "a mass matrix needs all of")
     refused(lambda: identify_taps([LOADS], components=("AF",), mass=1.0, points=[None, None]), "a point is needed")
+
+
+def test_a_weighing_that_has_not_the_mass_that_is_needed():
+    pitch = np.radians(np.arange(-10.0, 11, 2))
+    weighed = fit_weight(
+        LoadPoints(("AF",), pitch, 50.0 * np.sin(pitch)[:, None] + 1e-3 * np.cos(40 * pitch)[:, None], 0 * pitch, None)
+    )
+    normal = ab.Recording.from_arrays(np.arange(100) / 1000, {"NF": np.sin(np.arange(100.0))})
+    refused(lambda: ab.identify(normal, mass=weighed), "the weighing has no mass of NF; it has AF")
+    loads = {"NF": np.cos(np.arange(100.0)), "AF": np.sin(np.arange(100.0))}
+    pair = ab.Recording.from_arrays(np.arange(100) / 1000, loads)
+    refused(lambda: ab.identify(pair, mass=weighed), "a mass matrix needs all of")
 
 
 @pytest.mark.parametrize(
@@ -197,6 +215,12 @@ def test_a_mass_matrix_behind_dynamics_that_have_none():
     refused(lambda: rigid_mass_of(COUPLED, mass=0.0), "mass must be positive")
     few = CoupledDynamics.of_components([replace(SINGLE, component=name) for name in ("NF", "AF")])
     refused(lambda: rigid_mass_of(few, mass=1.0), "a rigid mass needs all of")
+    turned = replace(COUPLED, inertia=COUPLED.inertia.T.copy(), damping=COUPLED.damping.T.copy(), mass=None)
+    refused(lambda: rigid_mass_of(turned, mass=20.0), "mass matrix behind the dynamics is not positive", FitError)
+    alone = CoupledDynamics.of_components([replace(SINGLE, component=name) for name in COMPONENTS])
+    refused(lambda: rigid_mass_of(alone, mass=20.0), "cannot be found: .* hardly coupled", FitError)
+    assert rigid_of(alone, 20.0)[0] is None  # the dynamics stand without it
+    assert "no mass matrix" in rigid_of(alone, 20.0)[1][0]
 
 
 SHAPES = np.eye(6) + 0j
@@ -214,6 +238,26 @@ POLES = np.array([-1 + 100j * (k + 1) for k in range(6)])
 )
 def test_modes_that_make_no_dynamics(poles, shapes, message):
     refused(lambda: dynamics_of_modes(poles, shapes), message, FitError)
+
+
+def test_dynamics_without_a_mass_know_of_no_weight():
+    pitch = np.linspace(-0.2, 0.2, 5)
+    assert not replace(COUPLED, mass=None).weight("NF", pitch=pitch, roll=0 * pitch, gravity=9.81).any()
+    assert COUPLED.weight("NF", pitch=pitch, roll=0 * pitch, gravity=9.81) == pytest.approx(
+        MASS.weight(pitch, 0 * pitch, gravity=9.81)[:, COMPONENTS.index("NF")]
+    )
+
+
+def test_modes_of_dynamics_make_these_dynamics():
+    form = COUPLED.modal_form
+    up = form.poles.imag > 0
+    with pytest.warns(DataQualityWarning, match="no uncertainty is known"):
+        found, rigid = dynamics_of_modes(form.poles[up], form.shapes[:, up].T)
+    assert rigid is None
+    # the inverse of shapes of loads that differ by some hundred, squared, over rounding
+    assert found.inertia == pytest.approx(COUPLED.inertia, rel=1e-8, abs=1e-10 * np.abs(COUPLED.inertia).max())
+    assert found.damping == pytest.approx(COUPLED.damping, rel=1e-6, abs=1e-8 * np.abs(COUPLED.damping).max())
+    assert agreement(COUPLED, found, damping=True) is None  # of two exact ones there is no test
 
 
 def test_a_pole_that_does_not_decay():

@@ -1,11 +1,13 @@
 """Weighing with one force: Eq. (1) against numpy's least squares, by Monte Carlo, and with the masses of the paper."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 from scipy import stats
 
+from aerobalance import weigh
 from aerobalance.balance.weighing import LoadPoints, MovingMass, fit_weight, points_from_recordings
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
@@ -246,3 +248,20 @@ def test_missing_samples_are_left_out_of_the_means():
     given = points_from_recordings([recording(pitch, load)], ["AF"])
     assert given.pitch == pytest.approx([0.1], abs=1e-14)
     assert given.loads[:, 0] == pytest.approx([np.nanmean(load)], rel=1e-12)
+
+
+def test_short_records_at_rest_are_a_point_each(rng):
+    """Twelve readings are too few to look for stretches at rest in: a record that stands still is one."""
+    records = []
+    for angle in SWEEP:
+        load = 0.68 * G * np.sin(angle) + rng.normal(0, 1e-3, 12)
+        columns = {"AF": Channel("AF", load, "N"), "pitch": Channel("pitch", np.full(12, angle), "rad")}
+        records.append(Recording.from_columns(np.arange(12) / 10, columns, name=f"{angle:.2f}"))
+    found = weigh(records)
+    assert found.masses["AF"].degrees_of_freedom == SWEEP.size - 2
+    assert abs(found.mass - 0.68) < 6 * found.u_mass < 1e-3
+    moving = records[0].channel("pitch").values + np.linspace(0, 0.1, 12)
+    with pytest.raises(FitError, match="pitch is nowhere steady with AF recorded"):
+        weigh(replace(records[0], channels={"AF": records[0].channel("AF"), "pitch": Channel("pitch", moving, "rad")}))
+    with pytest.raises(FitError, match="has no balance loads; with gauge outputs give the balance matrix"):
+        weigh(replace(records[0], channels={"pitch": records[0].channel("pitch")}))

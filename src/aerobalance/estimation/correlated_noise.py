@@ -298,7 +298,7 @@ def as_expected(reading: Observation, before: SpectralPrior) -> bool:
         What was learned of its force before.
     """
     if reading.noise is None:
-        raise ValueError("the noise that is left has to be known")
+        raise AssertionError
     values, color = reading.values - np.nanmean(reading.values), reading.color
     seen = Periodogram.of(
         interpolate_gaps_linearly(np.where(reading.present, values, np.nan), beside=BESIDE_A_GAP),

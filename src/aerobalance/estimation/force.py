@@ -211,7 +211,7 @@ class ForceWork:
 
         def force_of_worst() -> tuple[Force, str]:
             if worst.part is None:
-                raise ValueError("no part of the record has a force")
+                raise AssertionError
             return self.force_of(worst.part), worst.told(self.record)
 
         found = ForceCollector(self.record.samples, working.samples, working.every).collected(watched())
@@ -336,7 +336,7 @@ def force_record(
         return CoupledRecord.of(run, model, noise=noise, **settings)
     if isinstance(model, IndependentDynamics):
         return IndependentRecord.of(run, model, **settings)
-    raise TypeError(f"there is no record of {type(model).__name__}")
+    raise AssertionError
 
 
 def _noise_of(loads: Loads, model: BalanceDynamics) -> Array | None:

@@ -238,7 +238,7 @@ class Joiner:
             values[name], us[name] = value[own].copy(), u[own].copy()
             parts = [one.within(own) for one in sources]
             if self._before is not None:
-                joint, doubt = self._pass_over(name, values[name][: 2 * half], us[name][: 2 * half])
+                joint, doubt = self._pass_over(self._before, name, values[name][: 2 * half], us[name][: 2 * half])
                 if doubt is not None:
                     self.warnings.add(part, f"{self.record.name}: {doubt}")
                     doubts.append(doubt)
@@ -252,12 +252,10 @@ class Joiner:
         where = part.told(self.record)
         return ForcePart(part, first, values, us, contributions, certain, force, where, tuple(doubts))
 
-    def _pass_over(self, name: str, values: Array, u: Array) -> tuple[Array, Doubt | None]:
+    def _pass_over(self, before: _Ending, name: str, values: Array, u: Array) -> tuple[Array, Doubt | None]:
         """Let the force of the part before pass into this one's, in place; return what they leave open, (2 h,) [N]."""
         doubt = None
-        if self._before is None:
-            return np.zeros(0), doubt
-        old, old_u = self._before.values[name], self._before.uncertainty[name]
+        old, old_u = before.values[name], before.uncertainty[name]
         share = np.sin(0.5 * np.pi * (np.arange(values.size) + 0.5) / values.size) ** 2
         share = np.where(np.isnan(old), 1.0, np.where(np.isnan(values), 0.0, share))
         both = np.isfinite(old) & np.isfinite(values)

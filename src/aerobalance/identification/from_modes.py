@@ -42,7 +42,7 @@ def dynamics_of_modes(
     poles
         Of the six modes, one of each pair, shape (6,) [rad/s].
     shapes
-        Loads felt in every mode in any scale, rows in the order of `COMPONENTS`, shape (6, 6).
+        Loads felt in any scale, a mode in each row, columns in the order of `COMPONENTS`, shape (6, 6).
     mass
         Weighed mass [kg], exact or with its standard uncertainty; it gives the mass matrix.
 

@@ -144,7 +144,7 @@ def _spectrum_sums_of(estimate: ComponentForce | ForceSummary) -> SpectrumSums:
 
 def _scalars(sums: ForceSums) -> tuple[Scalar, ...]:
     if sums.largest is None or sums.least is None:
-        raise ValueError("a force of no samples has no mean")
+        raise AssertionError
     count, shift = sums.samples, sums.total / sums.samples
     of_mean = {key: row.variance_of(np.array([1 / count, 0.0])) for key, row in sums.rows.items()}
     found = [Scalar.of("mean", sums.level + shift, of_mean), _rms(sums)]

@@ -130,11 +130,10 @@ def identify_frf(table: ResponseTable, *, component: str = "AF", mass: float | t
     start = _starting_values(table)
     parameters, chi2 = _fit(table, np.array([*start, 0.0]), free=[0, 1])
     free = [0, 1]
-    if 2 * points > 3:
-        delayed, chi2_delayed = _fit(table, parameters, free=[0, 1, 2])
-        # Bayes' information criterion; where the points scatter more than stated, chi2 counts in units of the scatter
-        if chi2 - chi2_delayed > np.log(2 * points) * max(1.0, chi2_delayed / (2 * points - 3)):
-            parameters, chi2, free = delayed, chi2_delayed, [0, 1, 2]
+    delayed, chi2_delayed = _fit(table, parameters, free=[0, 1, 2])
+    # Bayes' information criterion; where the points scatter more than stated, chi2 counts in units of the scatter
+    if chi2 - chi2_delayed > np.log(2 * points) * max(1.0, chi2_delayed / (2 * points - 3)):
+        parameters, chi2, free = delayed, chi2_delayed, [0, 1, 2]
     degrees_of_freedom = 2 * points - len(free)
     probability = float(chdtrc(degrees_of_freedom, chi2))
     scale = chi2 / degrees_of_freedom if probability < LEAST_PROBABILITY else 1.0

@@ -237,13 +237,19 @@ def _mass_warnings(found: ShakingIdentification) -> list[str]:
     """What is doubtful about the mass, the symmetries and the delay."""
     notes, rigid = [], found.rigid
     still = [place for place in range(6) if not any(COMPONENTS[place] in shake.seen for shake in found.shakes)]
-    if rigid.weighed is not None and not rigid.weighed.chance and rigid.implied is not None:
+    turned = rigid.implied is not None and rigid.implied[0] < 0
+    if rigid.implied is not None and turned:
+        notes.append(
+            f"no mass matrix: the shaken records imply a negative mass, {rigid.implied[0]:.5g} kg: the ground's "
+            "accelerations or the loads have the other sign; turn it in the channel map"
+        )
+    elif rigid.weighed is not None and not rigid.weighed.chance and rigid.implied is not None:
         notes.append(
             f"the shaken records imply a mass of {rigid.implied[0]:.5g} kg (u = {rigid.implied[1]:.2g}), not the one "
             "given: the gain of the accelerometers or of the balance is off, or the mass; the mass from the shaking "
             "is kept, as it is what takes the ground's motion out of the loads"
         )
-    if rigid.mass is None:
+    if rigid.mass is None and not turned:
         notes.append(
             "no mass matrix: that behind the ground's motion is not positive or stays open; gravity and ground motion "
             "cannot be taken out of the loads: shake along the other motions too, or give the weighed mass"

@@ -119,16 +119,13 @@ class AmplitudeLaw:
     u_frequency: Array
 
 
-def levelled(ring: Ring) -> tuple[Ring, AmplitudeLaw, AmplitudeDependence]:
-    """Return a ring with a law as one with the mean decay rate and frequency, what the law comes to, and its changes.
+def levelled(ring: Ring, chosen: Law) -> tuple[Ring, AmplitudeLaw, AmplitudeDependence]:
+    """Return a ring by a law as one with the mean decay rate and frequency, what the law comes to, and its changes.
 
     The mean is weighed by the squared amplitude, as a fit of one number does it. What the two are over the amplitudes
     from the first to the least, or to a tenth, is taken as evenly spread about it and is in their uncertainty; and so
     is what other laws come to, as far as the readings leave open which it is.
     """
-    chosen = ring.law
-    if chosen is None:
-        raise ValueError("the ring has no law")
     still = without_wander(ring)
     ring = ring if still is ring else by_law(still, chosen)
     since = ring.time - ring.start - ring.duration
@@ -145,7 +142,7 @@ def levelled(ring: Ring) -> tuple[Ring, AmplitudeLaw, AmplitudeDependence]:
     found = _comes_to(at, chosen, since, sizes)
     decay, w, first, last, fast, slow = found
     every = slopes @ ring.covariance[np.ix_(places, places)] @ slopes.T
-    open_laws = _of_other_laws(ring, found, since, sizes)
+    open_laws = _of_other_laws(ring, chosen, found, since, sizes)
     every = every + open_laws
     u = np.sqrt(np.diag(every))
     turn = np.eye(ring.covariance.shape[0])
@@ -193,18 +190,17 @@ def _comes_to(values: Array, law: Law, since: Array, sizes: Array) -> Array:
     return np.concatenate([means, *ends])
 
 
-def _of_other_laws(ring: Ring, found: Array, since: Array, sizes: Array) -> Array:
+def _of_other_laws(ring: Ring, chosen: Law, found: Array, since: Array, sizes: Array) -> Array:
     """Covariance of what a ring comes to by laws that explain the readings nearly as well, shape (6, 6).
 
     Each law counts by its likelihood; what is left over near the ringing is the noise that matters.
     """
-    others = [by_law(ring, one) for one in LAWS if one != ring.law]
+    laws = [one for one in LAWS if one != chosen]
+    others = [by_law(ring, one) for one in laws]
     lost = np.array([other.squares - ring.squares for other in others]) / (ring.variance * max(ring.colour, 1.0))
     weight = np.exp(-0.5 * np.maximum(lost, 0.0))
     covariance = np.zeros((found.size, found.size))
-    for other, share in zip(others, weight / (1 + weight.sum()), strict=True):
-        if other.law is None:  # it was given
-            continue
-        apart = _comes_to(other.vector[_places(other)], other.law, since, sizes) - found
+    for other, law, share in zip(others, laws, weight / (1 + weight.sum()), strict=True):
+        apart = _comes_to(other.vector[_places(other)], law, since, sizes) - found
         covariance += share * np.outer(apart, apart)
     return covariance

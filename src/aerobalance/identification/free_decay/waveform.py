@@ -306,7 +306,8 @@ def envelope_of(since: Array, decay: float, share: float, power: int) -> Array:
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         grown = np.where(np.abs(fall) < 1e-8, 1 + fall / 2, np.expm1(np.minimum(fall, 600.0)) / fall)
     inverse = np.maximum(1 + power * decay * since * grown, 0.0 if power < 0 else 1e-300)
-    return np.asarray(inverse ** (-1 / power))
+    # a trial may rise until it is infinite: its square is still to be a number
+    return np.asarray(np.minimum(inverse ** (-1 / power), np.exp(STEEPEST_RISE)))
 
 
 def _by_law(since: Array, vector: Array, law: Law) -> list[Array]:

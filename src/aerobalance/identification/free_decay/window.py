@@ -112,7 +112,7 @@ def account(ring: Ring, time: Array, values: Array, *, onset: float) -> Account:
     if found.bent:
         found = by_law(found, likeliest_law(found))
     if found.law is not None:
-        found, law, dependence = levelled(found)
+        found, law, dependence = levelled(found, found.law)
     if quick is not None and not decays(found):  # a law or a second mode that leads nowhere
         return Account(quick, None, None, close=False, whole=whole)
     return Account(found, dependence, law, close=close and len(found.lines) > 0, whole=whole)
@@ -135,7 +135,8 @@ def _richer(ring: Ring) -> tuple[Ring, bool, Ring]:
     law, two = by_law(ring, likeliest_law(bent)), of_two_modes(ring)
     if two is not None and two.squares < law.squares - EVIDENCE * two.variance:
         return two, True, bent
-    return law, False, bent
+    # a law whose search went astray, as beside a strong further mode, explains less than none
+    return (law if law.squares < ring.squares else ring), False, bent
 
 
 def _believed(forced: Ring, other: Ring, evidence: float) -> bool:
@@ -144,7 +145,7 @@ def _believed(forced: Ring, other: Ring, evidence: float) -> bool:
     The other fit is given noise of any level near the ringing, so that it is no worse where that noise is a force.
     """
     if forced.force is None:
-        return False
+        raise AssertionError
     if other.decay <= 0 and other.colour > COLOURED:  # no ringing of a release, and not what was read
         return True
     left = other.residuals[np.isin(other.time, forced.time)]

@@ -118,8 +118,6 @@ def judged_points(
     told = [
         (place, point, one) for place, (point, one) in enumerate(zip(points, found, strict=True)) if one is not None
     ]
-    if not told:
-        return PointsJudged(list(points), u_gain, [])
     chances = [
         departure(one.loads - point.loads, _spread(point, one) + u_gain**2 * np.outer(point.loads, point.loads))
         for _, point, one in told
@@ -264,8 +262,6 @@ def scatter_of(fit: TapFit) -> Scatter | None:
     for number, pole in enumerate(up):
         shifts, variances, sizes = [], [], []
         for tap, own, linear in zip(fit.taps, fit.own, fit.linears, strict=True):
-            if not linear.after.shape[0]:
-                continue
             amplitude = after_contact(
                 tap, motion, fit.common, own=own, point=fit.points[tap.point], off=fit.off[tap.point]
             )[pole]

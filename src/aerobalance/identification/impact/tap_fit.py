@@ -151,7 +151,6 @@ def linears_of(
     off: Sequence[Array],
     *,
     whitener: Array,
-    derivatives: bool = True,
 ) -> tuple[TapLinear, ...]:
     """Every tap near these parameters."""
     motion = motion_of(common.matrices, whitener.shape[0])
@@ -164,7 +163,6 @@ def linears_of(
             point=points[tap.point],
             off=off[tap.point],
             whitener=whitener,
-            derivatives=derivatives,
         )
         for tap, mine in zip(taps, own, strict=True)
     )

@@ -185,7 +185,6 @@ def linearise_tap(
     point: Point,
     off: Array,
     whitener: Array,
-    derivatives: bool = True,
 ) -> TapLinear:
     """Residuals of the readings about a tap, and their triangular factor.
 
@@ -202,14 +201,12 @@ def linearise_tap(
         Where and how it was given, and how far off that is in units of its root, shape (r,).
     whitener
         What turns the noise of one row into independent unit noise, shape (n, n).
-    derivatives
-        Whether the factor is wanted.
     """
     n = motion.components
     rest, state = own[:n], own[n : n + 2 * motion.size]
     sizes = motion.sizes(state[: motion.size], state[motion.size :])
     free = motion.motion(sizes)
-    by_free = ExponentialSums.joined([motion.by_state(), motion.by_matrices(sizes)]) if derivatives else None
+    by_free = ExponentialSums.joined([motion.by_state(), motion.by_matrices(sizes)])
     if not tap.linked:
         return _free_tap(tap, motion, free, by_free, rest, point=point, whitener=whitener)
     begun = float(tap.time[0]) if tap.before else float(tap.instants[0])
@@ -225,28 +222,24 @@ def linearise_tap(
     parts = (slice(0, tap.before), slice(tap.before, None))
     models = (free, free.weighted(*early) + blow.weighted(*spread))
     starts = (begun, 0.0)
-    slopes: tuple[ExponentialSums | None, ...] = (None, None)
-    if by_free is not None:
-        kept = 2 * motion.size
-        others = tap.force.size + 1 + point.root.shape[1] + COMMON
-        slopes = (
-            _filled(by_free, kept, others),
-            _after_slopes(
-                by_free.weighted(*early),
-                blow,
-                blown,
-                motion=motion,
-                tap=tap,
-                instants=instants,
-                force=force,
-                spread=spread,
-                point=point,
-                common=common,
-                loads=loads,
-                spring=spring,
-                whole=1 + tap.sampling * float(own[-1]),
-            ),
-        )
+    slopes = (
+        _filled(by_free, 2 * motion.size, tap.force.size + 1 + point.root.shape[1] + COMMON),
+        _after_slopes(
+            by_free.weighted(*early),
+            blow,
+            blown,
+            motion=motion,
+            tap=tap,
+            instants=instants,
+            force=force,
+            spread=spread,
+            point=point,
+            common=common,
+            loads=loads,
+            spring=spring,
+            whole=1 + tap.sampling * float(own[-1]),
+        ),
+    )
     left, rows = [], []
     for part, model, start, slope in zip(parts, models, starts, slopes, strict=True):
         residual, row = _rows(tap, part, motion, model, slope, start=start, rest=rest, whitener=whitener)
@@ -254,12 +247,10 @@ def linearise_tap(
         rows.append(row)
     errors = own[n + 2 * motion.size :]
     squares = sum(float(np.sum((part @ whitener.T) ** 2)) for part in left) + float(errors @ errors)
-    block: Array = np.zeros((0, 0))
-    if derivatives:
-        known = np.zeros((errors.size, rows[0].shape[1]))
-        known[:, n + 2 * motion.size : own.size] = np.eye(errors.size)
-        known[:, -1] = -errors
-        block = _triangle([*rows, known])
+    known = np.zeros((errors.size, rows[0].shape[1]))
+    known[:, n + 2 * motion.size : own.size] = np.eye(errors.size)
+    known[:, -1] = -errors
+    block = _triangle([*rows, known])
     return TapLinear(squares, left[0].shape[0] + left[1].shape[0], block, left[0], left[1])
 
 
@@ -267,19 +258,18 @@ def _free_tap(
     tap: Tap,
     motion: FreeMotion,
     free: ExponentialSums,
-    by_free: ExponentialSums | None,
+    by_free: ExponentialSums,
     rest: Array,
     *,
     point: Point,
     whitener: Array,
 ) -> TapLinear:
     """A tap of which only the ringing after the contact is used."""
-    slope = None if by_free is None else _filled(by_free, 2 * motion.size, point.root.shape[1] + COMMON)
+    slope = _filled(by_free, 2 * motion.size, point.root.shape[1] + COMMON)
     part = slice(tap.before, None)
     left, rows = _rows(tap, part, motion, free, slope, start=0.0, rest=rest, whitener=whitener)
-    block = _triangle([rows]) if by_free is not None else np.zeros((0, 0))
     squares = float(np.sum((left @ whitener.T) ** 2))
-    return TapLinear(squares, left.shape[0], block, np.zeros((0, rest.size)), left)
+    return TapLinear(squares, left.shape[0], _triangle([rows]), np.zeros((0, rest.size)), left)
 
 
 def _rows(
@@ -287,7 +277,7 @@ def _rows(
     part: slice,
     motion: FreeMotion,
     model: ExponentialSums,
-    slopes: ExponentialSums | None,
+    slopes: ExponentialSums,
     *,
     start: float,
     rest: Array,
@@ -296,15 +286,10 @@ def _rows(
     """Residuals of some rows, and what they say of all unknowns: weighted rows of [own, point, common, residual]."""
     n = rest.size
     values = tap.values[part]
-    if not values.size:
-        count = 0 if slopes is None else slopes.constant.shape[1] + n + 1
-        return values, np.zeros((0, count))
     columns = motion.columns(tap.time[part] - start)
     on = motion.on_columns(model)[:, :, 0]
     on[-1] += rest
     left = values - columns @ on
-    if slopes is None:
-        return left, np.zeros((0, 0))
     factor, along = compressed(columns, left)
     table = motion.on_columns(slopes)
     resting = np.zeros((table.shape[0], n, n))

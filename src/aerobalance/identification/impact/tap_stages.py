@@ -234,21 +234,28 @@ def departure(difference: Array, covariance: Array) -> float:
     return float(chdtrc(difference.size, float(difference @ np.linalg.solve(covariance + floor, difference))))
 
 
-def taps_apart(fit: TapFit) -> list[bool]:
-    """For every tap, whether its force does not go with the ringing that it left, the others considered."""
+def tap_apart(fit: TapFit) -> int | None:
+    """Return the tap whose force goes least with the ringing that it left, by its number; None where all do.
+
+    A tap that is off pulls what all share towards itself, the more the stronger it is: so the excess of each counts
+    over the part that the others at its point have in the loads found there.
+    """
     motion, whitener = motion_of(fit.common.matrices, fit.size), whitener_of(fit.noise)
-    flags = []
-    for tap, linear in zip(fit.taps, fit.linears, strict=True):
-        if not tap.linked:
-            flags.append(False)
-            continue
+    linked = [number for number, tap in enumerate(fit.taps) if tap.linked]
+    strengths = {number: float(fit.taps[number].force.sum()) ** 2 for number in linked}
+    worst, most = None, 0.0
+    for number in linked:
+        tap, linear = fit.taps[number], fit.linears[number]
         alone = replace(tap, linked=False)
         state = fit_state(motion, tap.time[tap.before :], tap.values[tap.before :])[0]
-        free = linears_of([alone], fit.points, fit.common, [state], fit.off, whitener=whitener, derivatives=True)[0]
+        free = linears_of([alone], fit.points, fit.common, [state], fit.off, whitener=whitener)[0]
         k = alone.own
         left = free.squares - float(np.sum(free.block[:k, -1] ** 2))
         before = float(np.sum((linear.before @ whitener.T) ** 2))
         excess = linear.squares - before - left
+        others = sum(strengths[other] for other in linked if other != number and fit.taps[other].point == tap.point)
+        size = excess * (1 + strengths[number] / others) if others else excess
         # the ringing has as many sizes as states; that of the whole blow and the errors of the force are in `squares`
-        flags.append(excess > 0 and bool(chdtrc(2 * motion.size, excess) < BY_CHANCE))
-    return flags
+        if size > most and chdtrc(2 * motion.size, excess) < BY_CHANCE:
+            worst, most = number, size
+    return worst

@@ -34,8 +34,9 @@ from aerobalance.identification.impact.tap_doubts import (
     unequal_taps,
 )
 from aerobalance.identification.impact.tap_fit import TapFit, settle_taps
+from aerobalance.identification.impact.tap_model import Point
 from aerobalance.identification.impact.tap_point import U_GAIN, TapPoint, fit_point, point_of
-from aerobalance.identification.impact.tap_record import TapRecord, tap_record
+from aerobalance.identification.impact.tap_record import SETTINGS, TapRecord, tap_record
 from aerobalance.identification.impact.tap_result import ALL, ImpactFit, ImpactIdentification, Taps
 from aerobalance.identification.impact.tap_stages import (
     PlacedTap,
@@ -43,7 +44,7 @@ from aerobalance.identification.impact.tap_stages import (
     free_taps,
     linked_taps,
     loads_found,
-    taps_apart,
+    tap_apart,
 )
 from aerobalance.identification.one_component import one_component
 from aerobalance.identification.step_relaxation.calibration_errors import covariance_of_calibration
@@ -211,12 +212,18 @@ def _check_points(recordings: Sequence[Recording], where: Sequence[TapPoint | No
 
 
 def _check_left(taps: Sequence[PlacedTap], records: Sequence[TapRecord]) -> None:
-    if not taps:
-        count = sum(len(record.taps) for record in records)
+    if taps:
+        return
+    called, count = ", ".join(record.name for record in records), sum(len(record.taps) for record in records)
+    if not count:
         raise FitError(
-            f"{', '.join(record.name for record in records)}: in all {count} taps the hammer touched twice, so none "
-            "is left; tap again, with the hammer hanging loosely"
+            f"{called}: no tap is followed by {SETTINGS.fewest_after} usable readings of the loads; record for longer "
+            "after a tap, and wait longer before the next"
         )
+    raise FitError(
+        f"{called}: in all {count} taps the hammer touched twice, so none is left; tap again, with the hammer hanging "
+        "loosely"
+    )
 
 
 def _check_moved(taps: Sequence[PlacedTap], sizes: Array, names: tuple[str, ...]) -> None:
@@ -259,17 +266,13 @@ def _fitted(
     doubts = [*left_out(records, component), *missing_mode(ringing.peak, component)]
     stated = [fit_point(place, names, sizes) for place in places]
     u_gain = max(recording.channel(IMPACT_FORCE).relative_uncertainty for recording in recordings) or U_GAIN
-    leave = [False] * len(taps)
     fit = free
     linked, scale = any(tap.found.fault is None for tap in taps), 1.0
     if free.internal and not linked:
         raise FitError("a mode of the model or sting needs taps of measured force, and that of none can be used")
     if linked:
         with PROGRESS.stage(0.6, 0.4, "force"):
-            loose = linked_taps(free, taps, units, anywhere(stated), u_gain=0.0, leave=leave)
-            leave = taps_apart(loose)
-            if any(leave) and not all(leave):
-                loose = linked_taps(free, taps, units, anywhere(stated), u_gain=0.0, leave=leave)
+            loose, leave = _without_those_apart(free, taps, units, anywhere(stated))
             judged = judged_points(
                 stated, loads_found(loose), u_gain=u_gain, component=component, sizes=sizes, names=names
             )
@@ -287,6 +290,29 @@ def _fitted(
         colour,
         ringing.decays,
     )
+
+
+def _without_those_apart(
+    free: TapFit, taps: Sequence[PlacedTap], units: Units, points: Sequence[Point]
+) -> tuple[TapFit, list[bool]]:
+    """The fit without taps whose force does not go with their ringing, the worst first, and which these are.
+
+    Of two at a point that differ none is known to be right, so that both are left out; where none is left, the fit is
+    that with all.
+    """
+    good = [number for number, tap in enumerate(taps) if tap.found.fault is None]
+    leave = [False] * len(taps)
+    first = found = linked_taps(free, taps, units, points, u_gain=0.0, leave=leave)
+    while (worst := tap_apart(found)) is not None:
+        leave[worst] = True
+        here = [number for number in good if taps[number].point == taps[worst].point]
+        if sum(not leave[number] for number in here) < 2:
+            for number in here:
+                leave[number] = True
+        if all(leave[number] for number in good):
+            return first, leave
+        found = linked_taps(free, taps, units, points, u_gain=0.0, leave=leave)
+    return found, leave
 
 
 def _check_seen(fit: TapFit, taps: Sequence[PlacedTap], names: tuple[str, ...]) -> None:

@@ -97,8 +97,6 @@ def _onset(values: Array) -> int:
     best, place = 0.0, 0
     for part in (8, 32, 128):
         width = max(count // part, 16)
-        if 3 * width > count:
-            continue
         ratio, rows = _contrast(values, width)
         highest = float(np.max(ratio))
         if highest > 1.05 * best:  # the scatter before grows by orders of magnitude behind the edge, that after little
