@@ -33,6 +33,12 @@ MOST = 40
 ROUNDING = 1e-6
 """Change over the rms of its kind that is rounding: fits end at 1e-8 to 1e-12, and other processors sum otherwise."""
 
+UNSEEN = 1e-4
+"""Change over its uncertainty by which nobody's result is another: of a small number that a fit ends at."""
+
+NO_UNCERTAINTY = 1e-9
+"""Uncertainty over its value that is the rounding of none."""
+
 AXIAL = "--dynamics axial.json"
 GAUGES = "--balance balance.json --zero zero.csv"
 CUTS = " ".join(f"cut_{number}.csv" for number in range(1, 7))
@@ -93,6 +99,16 @@ def evenly(count: int, most: int) -> list[int]:
     return sorted({round(place) for place in np.linspace(0, count - 1, min(count, most))})
 
 
+def least_changes(numbers: dict[str, float]) -> Iterator[tuple[str, float]]:
+    """Changes that are none, by place: of a value beside its uncertainty, and of an uncertainty beside its value."""
+    for place in numbers:
+        stem, _, last = place.rpartition("/")
+        if last == "value" and f"{stem}/u" in numbers:
+            yield place, UNSEEN * abs(numbers[f"{stem}/u"])
+        if last.startswith("u_") and f"{stem}/{last[2:]}" in numbers:
+            yield place, NO_UNCERTAINTY * abs(numbers[f"{stem}/{last[2:]}"])
+
+
 def result(line: str) -> dict:
     """What is pinned of one command, run in the current folder."""
     said, told = io.StringIO(), io.StringIO()
@@ -103,6 +119,7 @@ def result(line: str) -> dict:
     numbers = list(flat(account))
     found = {
         "numbers": {numbers[i][0]: numbers[i][1] for i in evenly(len(numbers), MOST)},
+        "least": dict(least_changes(dict(numbers))),
         "warnings": len(account["warnings"]),
     }
     if line.endswith("out.h5") or " out.h5 " in line:
@@ -141,6 +158,7 @@ def live_axial() -> dict:
     parts = [*(live.push(block)["AF"] for block in np.array_split(columns, 37)), live.finish()["AF"]]
     return {
         "numbers": {},
+        "least": {},
         "warnings": 0,
         "channels": {
             "force": channel_of(np.concatenate([part.force for part in parts])),
@@ -160,13 +178,13 @@ def live_six() -> dict:
     for name in laboratory.NAMES:
         channels[name] = channel_of(np.concatenate([part[name].force for part in parts if name in part]))
         channels[f"u_{name}"] = channel_of(np.concatenate([part[name].uncertainty for part in parts if name in part]))
-    return {"numbers": {}, "warnings": 0, "channels": channels}
+    return {"numbers": {}, "least": {}, "warnings": 0, "channels": channels}
 
 
-def close(found: float, pinned: float, scale: float = 0.0) -> bool:
+def close(found: float, pinned: float, scale: float = 0.0, least: float = 0.0) -> bool:
     if np.isnan(pinned):
         return bool(np.isnan(found))
-    return abs(found - pinned) <= ROUNDING * max(abs(pinned), scale)
+    return abs(found - pinned) <= max(ROUNDING * max(abs(pinned), scale), least)
 
 
 def differences(found: dict, pinned: dict) -> Iterator[tuple[str, object, object]]:
@@ -177,7 +195,7 @@ def differences(found: dict, pinned: dict) -> Iterator[tuple[str, object, object
         yield "names of the numbers", list(found["numbers"]), list(pinned["numbers"])
         return
     for place, then in pinned["numbers"].items():
-        if not close(found["numbers"][place], then):
+        if not close(found["numbers"][place], then, least=found["least"].get(place, 0.0)):
             yield place, found["numbers"][place], then
     now = found.get("channels", {})
     if list(now) != list(pinned.get("channels", {})):
@@ -201,5 +219,8 @@ def test_results_are_what_they_were(tmp_path: Path) -> None:
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as made:
-        text = json.dumps(every(Path(made)), indent=1)
+        found = every(Path(made))
+    for one in found.values():
+        del one["least"]
+    text = json.dumps(found, indent=1)
     PINNED.write_text(text + "\n")
