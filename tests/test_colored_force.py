@@ -27,7 +27,7 @@ def record_of(values: np.ndarray, *, rate: float = RATE, noise: float | None = N
 
 
 def load_of_band(generator: np.random.Generator, edge: float, *, rms: float) -> tuple[np.ndarray, np.ndarray]:
-    """Load felt under a force of flat spectrum up to an edge, and that force."""
+    """Balance load under a force of flat spectrum up to an edge, and that force."""
     frequency = np.fft.rfftfreq(4 * N, 1 / RATE)
     phasors = generator.normal(size=frequency.size) + 1j * generator.normal(size=frequency.size)
     phasors[frequency > edge] = 0

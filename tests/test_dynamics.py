@@ -16,7 +16,7 @@ CRITICAL = Dynamics("AF", 2.0, 800.0, 80.0)  # damping ratio 1
 
 
 def integrated(dynamics: Dynamics, time: np.ndarray, force, start=(0.0, 0.0)) -> np.ndarray:
-    """Load felt AF = k x by an independent integrator of Eq. (8); start is AF and AF' / w0."""
+    """Balance load AF = k x by an independent integrator of Eq. (8); start is AF and AF' / w0."""
     w0, ratio = np.sqrt(dynamics.stiffness / dynamics.mass), dynamics.damping / dynamics.mass
 
     def slope(t, state):

@@ -56,7 +56,7 @@ def looked_at(recording: Recording, dynamics: Dynamics) -> Misfit:
 def shaken(
     truth: Dynamics, generator: np.random.Generator, *, corner: float = 60.0, seconds: float = 8.0
 ) -> Recording:
-    """Load felt under a force of 60 N rms that rolls off with the fourth power, and noise of 2 N."""
+    """Balance load under a force of 60 N rms that rolls off with the fourth power, and noise of 2 N."""
     n = round(2 * seconds * RATE)
     frequency = np.fft.rfftfreq(n, 1 / RATE)
     shape = 1 / (1 + (frequency / corner) ** 4)
@@ -215,7 +215,7 @@ def test_a_release_tells_the_frequency_whatever_comes_later(known, rng):
 
 
 def flat(truth: Dynamics, generator: np.random.Generator, *, seconds: float) -> Array:
-    """Load felt under a force of one density to 100 Hz, 200 N rms, and noise of 2 N."""
+    """Balance load under a force of one density to 100 Hz, 200 N rms, and noise of 2 N."""
     n = round(seconds * RATE)
     frequency = np.fft.rfftfreq(2 * n, 1 / RATE)
     phasors = (generator.normal(size=frequency.size) + 1j * generator.normal(size=frequency.size)) * (frequency < 100)

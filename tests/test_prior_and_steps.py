@@ -52,7 +52,7 @@ def smooth_reading(
     rms: float = 500.0,
     noise: float = 2.0,
 ) -> Observation:
-    """Load felt under a smooth force, made on a clock 8 times as fast."""
+    """Balance load under a smooth force, made on a clock 8 times as fast."""
     n = int(seconds * RATE)
     force = band_limited(generator, 8 * n, rate=8 * RATE, edge=edge, rms=rms)
     load = T128.load_felt(force, interval=1 / (8 * RATE))[::8]

@@ -53,7 +53,7 @@ def recording(load, rate=RATE, **channels):
 
 
 def steady(frequency, amplitude=100.0, mean=30.0, seconds=4.0):
-    """Load felt under a steady sine, in closed form, and the force that it comes from."""
+    """Balance load under a steady sine, in closed form, and the force that it comes from."""
     time = np.arange(round(seconds * RATE)) / RATE
     gain = T128.response(frequency)
     load = mean + amplitude * np.imag(gain * np.exp(2j * np.pi * frequency * time))

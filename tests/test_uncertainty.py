@@ -44,7 +44,7 @@ def record(**channels) -> Recording:
 def run(
     generator: np.random.Generator, *, count=2000, rms=100.0, noise=2.0, highest=100.0, dynamics=T128
 ) -> Recording:
-    """Load felt under a force with a flat spectrum, and its noise."""
+    """Balance load under a force with a flat spectrum, and its noise."""
     frequency = np.fft.rfftfreq(8 * count, 1 / (8 * RATE))
     inside = (frequency > 0) & (frequency < highest)
     phasors = inside * (generator.normal(size=inside.size) + 1j * generator.normal(size=inside.size))

@@ -154,7 +154,7 @@ def test_what_was_before_is_looked_into(operator) -> None:
     view.mouse.move(*at(0.5))
     operator.until("window.aerobalance.cursor?.felt")
     assert operator.number("cursor.back") == pytest.approx(5.0, abs=0.1)
-    assert "load felt −10" in view.inner_text("#cursor-line")
+    assert "balance load −10" in view.inner_text("#cursor-line")
     # a drag shows that part of the window, and holds it
     view.mouse.down()
     view.mouse.move(*at(0.7), steps=4)

@@ -64,7 +64,7 @@ def test_cut_record_identify_and_force(opened, operator) -> None:
     words = operator.report("cut-identified")
     assert "Stiffness" in words and "66.3" in words  # 66.37 Hz from the printed stiffness and mass
     view.click(row + "text='Force'")
-    assert "Load felt and force applied" in operator.report("cut-force")
+    assert "Balance load and force applied" in operator.report("cut-force")
     assert {"cut.h5", "cut-dynamics.json", "cut-force.csv"} <= {path.name for path in folder.iterdir()}
     assert operator.said == []
 

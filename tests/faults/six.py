@@ -57,7 +57,7 @@ def balance() -> CoupledDynamics:
 
 
 def felt(dynamics: CoupledDynamics, force: Array, clock: Clock) -> Array:
-    """Return the loads felt under forces on the fine clock, both of shape (count, 6)."""
+    """Return the balance loads under forces on the fine clock, both of shape (count, 6)."""
     s = 2j * np.pi * clock.frequency[:, None, None]
     whole = np.eye(6) + s * dynamics.damping + s**2 * dynamics.inertia
     return np.fft.irfft(np.linalg.solve(whole, np.fft.rfft(force, axis=0)[..., None])[..., 0], clock.count, axis=0)

@@ -66,13 +66,13 @@ def value(number: float, u: float = 0.0, unit: str = "1") -> dict:
 
 
 def axial_response(frequency: Array) -> NDArray:
-    """Load felt over force."""
+    """Balance load over force."""
     s = 2j * np.pi * frequency
     return 1 / (1 + DAMPING / STIFFNESS * s + MASS / STIFFNESS * s**2)
 
 
 def axial_step(time: Array, instant: float, size: float) -> Array:
-    """Load felt after a step of the force."""
+    """Balance load after a step of the force."""
     w = np.sqrt(STIFFNESS / MASS)
     d = DAMPING / (2 * np.sqrt(STIFFNESS * MASS))
     wd, later = w * np.sqrt(1 - d**2), np.maximum(time - instant, 0.0)
@@ -204,7 +204,7 @@ def six_matrices() -> tuple[Array, Array]:
 
 
 class SixBalance:
-    """Six coupled components: loads felt after sums of sines and a release."""
+    """Six coupled components: balance loads after sums of sines and a release."""
 
     def __init__(self) -> None:
         self.A, self.D = six_matrices()

@@ -21,7 +21,7 @@ NEVER = 1e-5
 
 
 def felt(dynamics: CoupledDynamics, held: Array, *, instant: float, duration: float = 0.0) -> Array:
-    """Loads felt when `held` is let go, by the matrix exponential of the motion; over a duration by its exact mean."""
+    """Balance loads when `held` is let go, by the matrix exponential; over a duration by its exact mean."""
     n = len(dynamics.components)
     generator = np.zeros((2 * n, 2 * n))
     generator[:n, n:] = np.eye(n)

@@ -29,9 +29,9 @@ class Condensed:
     Attributes
     ----------
     forces
-        q F by the loads felt, shape (n, n, 2 e + 3).
+        q F by the balance loads, shape (n, n, 2 e + 3).
     internal
-        q Y by the loads felt, shape (e, n, 2 e + 1).
+        q Y by the balance loads, shape (e, n, 2 e + 1).
     carried
         What q F takes of a load on an internal coordinate, shape (n, e, 2 e + 1).
     common

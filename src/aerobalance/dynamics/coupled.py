@@ -1,7 +1,7 @@
 r"""Several coupled components: F = X + D X' + A X'' with matrices for D and A.
 
-X are the loads felt and F the loads applied, both in the order of the components. A = M K^-1 and D = C K^-1 carry the
-mass, damping and stiffness matrices of Eq. (8) of [Gorbushin2020]_ written for several components, so that F is
+X are the balance loads and F the loads applied, both in the order of the components. A = M K^-1 and D = C K^-1 carry
+the mass, damping and stiffness matrices of Eq. (8) of [Gorbushin2020]_ written for several components, so that F is
 Eq. (17) with matrices in place of M/k and b/k. A diagonal A and D is the paper's way, each component for itself.
 
 Where the model or the sting bends there are more modes than components: the loads Y in springs that no channel shows
@@ -37,14 +37,14 @@ def internal_names(count: int) -> tuple[str, ...]:
 
 
 class ModalForm(NamedTuple):
-    """Free motion of coupled components as 2 N modes z' = pole z + weight @ net load, loads felt = sum shape z.
+    """Free motion of coupled components as 2 N modes z' = pole z + weight @ net load, balance loads = sum shape z.
 
     Attributes
     ----------
     poles
         Shape (2 N,) [rad/s], in conjugate pairs where they oscillate.
     shapes
-        Loads felt by mode, shape (n, 2 N).
+        Balance loads by mode, shape (n, 2 N).
     weights
         What each mode takes of the net load, shape (2 N, n).
     """
@@ -279,13 +279,13 @@ class CoupledDynamics(BalanceDynamics):
         return np.asarray(seen - whole[:, :n, n:] @ np.linalg.solve(whole[:, n:, n:], whole[:, n:, :n]))
 
     def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
-        """Loads felt over loads applied at frequencies of shape (m,) [Hz], shape (m, n, n)."""
+        """Balance loads over loads applied at frequencies of shape (m,) [Hz], shape (m, n, n)."""
         n = len(self.components)
         whole = self.equation(2j * np.pi * np.asarray(frequency, dtype=np.float64))
         return np.asarray(np.linalg.inv(whole)[:, :n, :n])
 
     def load_felt(self, net: Array, *, interval: float, every: int = 1) -> Array:
-        """Loads felt under loads that are linear between samples and were held before the first; both (samples, n).
+        """Balance loads under loads that are linear between samples and were held before the first; both (samples, n).
 
         Parameters
         ----------
@@ -294,7 +294,7 @@ class CoupledDynamics(BalanceDynamics):
         interval
             Time between them [s].
         every
-            Of how many samples one is returned: the loads felt are smoother than what they are worked out from.
+            Of how many samples one is returned: the balance loads are smoother than what they are worked out from.
         """
         poles, shapes, weights = self.modal_form
         change = net - net[0]

@@ -78,9 +78,9 @@ class DecoupledChannel:
     dynamics
         That model.
     row
-        What its reading is of the loads felt, over the product of its modes: powers of s, shape (n, 2 e + 3).
+        What its reading is of the balance loads, over the product of its modes: powers of s, shape (n, 2 e + 3).
     internal
-        Loads in internal springs by the loads felt, shape (e, n, 2 e + 1), over the product of `still`.
+        Loads in internal springs by the balance loads, shape (e, n, 2 e + 1), over the product of `still`.
     still
         Motions in which no component shows anything, e of them.
     carried
@@ -162,7 +162,7 @@ class DecoupledChannel:
 
     @property
     def fractions(self) -> Fractions:
-        """Transfer functions from the loads felt to its reading, as partial fractions."""
+        """Transfer functions from the balance loads to its reading, as partial fractions."""
         if self.alone:
             none = np.zeros((len(self.dynamics.modes), len(self.row)))
             return Fractions(self.partners.astype(np.float64), self.dynamics.modes, none, none)

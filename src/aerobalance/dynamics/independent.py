@@ -67,11 +67,11 @@ class IndependentDynamics(Mapping[str, Dynamics], BalanceDynamics):
         return np.concatenate([np.zeros(0), *found]).astype(np.complex128)
 
     def response(self, frequency: Array) -> NDArray[np.complex128]:
-        """Loads felt over forces applied at frequencies of shape (m,) [Hz], shape (m, n, n)."""
+        """Balance loads over forces applied at frequencies of shape (m,) [Hz], shape (m, n, n)."""
         return _diagonal([part.response(frequency) for part in self.parts.values()])
 
     def inverse_response(self, frequency: Array) -> NDArray[np.complex128]:
-        """Forces applied over loads felt at frequencies of shape (m,) [Hz], shape (m, n, n)."""
+        """Forces applied over balance loads at frequencies of shape (m,) [Hz], shape (m, n, n)."""
         return _diagonal([1 / part.response(frequency) for part in self.parts.values()])
 
     def force_slopes(self, frequency: Array) -> Iterator[ForceSlopes]:

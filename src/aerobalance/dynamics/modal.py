@@ -162,7 +162,7 @@ def exponentials(pole: complex, time: ArrayLike) -> NDArray[np.complex128]:
 
 
 class ModalModel(ABC):
-    """One component's load felt under its force: a sum of modes.
+    """One component's balance load under its force: a sum of modes.
 
     The shares of a steady load add to 1, so the first mode has what the further ones leave.
 
@@ -226,7 +226,7 @@ class ModalModel(ABC):
         return (Mode(self.natural_frequency, self.damping_ratio, share, rate_share), *self.further_modes)
 
     def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
-        """Load felt over force applied, AF/F, at frequencies [Hz]; the transform of Eq. (8) with x1 at rest.
+        """Balance load over force applied, AF/F, at frequencies [Hz]; the transform of Eq. (8) with x1 at rest.
 
         The delay is not included.
         """
@@ -258,7 +258,7 @@ class ModalModel(ABC):
         return np.asarray(sum(mode.released(time) for mode in self.modes))
 
     def step_response(self, time: ArrayLike, *, duration: float = 0.0) -> Array:
-        """Load felt after a force of 1 N is applied at time 0, at once or linearly over a duration.
+        """Balance load after a force of 1 N is applied at time 0, at once or linearly over a duration.
 
         Parameters
         ----------
@@ -275,7 +275,7 @@ class ModalModel(ABC):
         return np.asarray(risen / duration)
 
     def load_felt(self, net: Array, *, interval: float) -> Array:
-        """Load felt under a net force that is linear between samples: Eq. (8) integrated exactly.
+        """Balance load under a net force that is linear between samples: Eq. (8) integrated exactly.
 
         Parameters
         ----------

@@ -243,7 +243,7 @@ class Dynamics(ModalModel):
         return np.asarray(-of_response / self.response(frequency)[:, None])
 
     def base_response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
-        """Load felt over ground acceleration, AF/x1'' [kg], at frequencies [Hz], for F = 0.
+        """Balance load over ground acceleration, AF/x1'' [kg], at frequencies [Hz], for F = 0.
 
         Its modulus is Eq. (12) of [Gorbushin2020]_ and the lag of AF behind x1 is Eq. (11), both in `extension_lag`
         and `amplitude`; the delay of the load channel is included.
@@ -252,7 +252,7 @@ class Dynamics(ModalModel):
         return np.asarray(-self.mass * self.response(frequency) * lag, dtype=np.complex128)
 
     def amplitude(self, frequency: ArrayLike, acceleration: ArrayLike) -> Array:
-        """Amplitude of the load felt on a shaken base, Eq. (12) of [Gorbushin2020]_ [N].
+        """Amplitude of the balance load on a shaken base, Eq. (12) of [Gorbushin2020]_ [N].
 
         Parameters
         ----------

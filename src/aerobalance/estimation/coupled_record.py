@@ -48,7 +48,7 @@ class CoupledRecord(BalanceRecord):
     noise
         Covariance of the noise of a reading, shape (n, n) [N^2, N^2*m, N^2*m^2].
     from_ground
-        Loads felt under gravity and the ground's motion alone, on the clock, shape (samples, n); less what other
+        Balance loads under gravity and the ground's motion alone, on the clock, shape (samples, n); less what other
         dynamics' mass would have put on the zero that the loads count from, where that was read under the weight.
     on_zero
         Weight in the loads that was taken out of their zero, shape (n,) [N, N*m].

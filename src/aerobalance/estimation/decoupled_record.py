@@ -175,7 +175,7 @@ class DecoupledRecord(ComponentRecord):
         return (slope, "the ground's accelerometers") if slope.any() else None
 
     def reading_of(self, felt: Array) -> Array:
-        """Reading of the decoupled component under a part of the loads felt, shape (samples,) [N]."""
+        """Reading of the decoupled component under a part of the balance loads, shape (samples,) [N]."""
         own = self.decoupled.reading(felt, interval=self.interval)
         for other in self.others:
             own = own - self._taken_off(other.reading(felt, interval=self.interval)[:, None], other)[:, 0]
@@ -193,7 +193,7 @@ class DecoupledRecord(ComponentRecord):
         return np.asarray(fractional_delay(own[:, 0], delay=lag, interval=self.interval))
 
     def felt_under(self, item: SystematicParameter) -> Array:
-        """Load felt under a unit of an unknown of the ground's motion, shape (samples,)."""
+        """Balance load under a unit of an unknown of the ground's motion, shape (samples,)."""
         return self._felt(-item.slope @ self.coupled.mass_rows.T)
 
     def as_force(self, item: SystematicParameter) -> Array:
@@ -266,7 +266,7 @@ def _directions(series: Array, numbers: Array, *, least: float) -> Array:
 
 
 def load_felt(dynamics: CoupledDynamics, net: Array, *, interval: float) -> Array:
-    """Loads felt under loads on the moving mass that are band-limited, both (samples, n)."""
+    """Balance loads under loads on the moving mass that are band-limited, both (samples, n)."""
     if not net.any():
         return np.zeros_like(net)
     return dynamics.load_felt(upsample_compensated(net), interval=interval / FINE, every=FINE)

@@ -350,7 +350,7 @@ class LinearSmoother:
 def instant_columns(
     reading: Observation, steps: Sequence[Step], *, heights: Sequence[float] | Array
 ) -> tuple[Array, Array]:
-    """Load felt under the constant, under every step of 1 N and under a later instant of every step, and their forces.
+    """Balance load under the constant, under every step of 1 N and under its later instant, and the forces of these.
 
     Lines of hum come last, each with its sine and cosine and the same growing along the record: that is what an error
     of its frequency does, and a slow change of its amplitude.

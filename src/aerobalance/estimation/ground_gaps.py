@@ -1,6 +1,6 @@
 """What a channel of the ground's motion has missed within a gap, by what the load shows of it.
 
-The load felt under every error that a gap may hide (`aerobalance.motion.gaps`) is a known shape of a size that is
+The balance load under every error that a gap may hide (`aerobalance.motion.gaps`) is a known shape of a size that is
 drawn from a normal distribution of variance 1. With the force as the process that was learned, the readings tell these
 sizes by generalised least squares, and how well.
 """

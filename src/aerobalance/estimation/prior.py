@@ -77,7 +77,7 @@ class Observation:
     Attributes
     ----------
     values
-        Load felt less the response to known inputs, shape (n,) [N]; NaN where missing.
+        Balance load less the response to known inputs, shape (n,) [N]; NaN where missing.
     interval
         Time between samples [s].
     dynamics

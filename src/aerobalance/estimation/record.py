@@ -176,7 +176,7 @@ class ComponentRecord(ABC):
 
     @abstractmethod
     def reading_of(self, felt: Array) -> Array:
-        """Return the reading under a part of the loads felt, shapes (samples,) and (samples, n) [N, N*m]."""
+        """Return the reading under a part of the balance loads, shapes (samples,) and (samples, n) [N, N*m]."""
 
     @property
     @abstractmethod
@@ -211,7 +211,7 @@ class ComponentRecord(ABC):
 
     @abstractmethod
     def felt_under(self, item: SystematicParameter) -> Array:
-        """Load felt under a unit of an unknown of the ground's motion, shape (n,)."""
+        """Balance load under a unit of an unknown of the ground's motion, shape (n,)."""
 
     @abstractmethod
     def as_force(self, item: SystematicParameter) -> Array:
@@ -307,7 +307,7 @@ class BalanceRecord(ABC):
     @property
     @abstractmethod
     def from_ground(self) -> Array:
-        """Loads felt under gravity and the ground's motion alone, on the clock, shape (samples, n) [N, N*m]."""
+        """Balance loads under gravity and the ground's motion alone, on the clock, shape (samples, n) [N, N*m]."""
 
     @property
     @abstractmethod

@@ -126,7 +126,7 @@ class Step:
 
 
 def response_to(step: Step, reading: Observation) -> Array:
-    """Return the load felt after a step of 1 N, shape (n,) [1]."""
+    """Return the balance load after a step of 1 N, shape (n,) [1]."""
     count, interval = reading.values.size, reading.interval
     first = int(np.clip(np.floor(step.instant / interval), 0, count))
     last = int(np.clip(np.ceil((step.instant + step.duration + _ended(reading)) / interval) + 1, first, count))

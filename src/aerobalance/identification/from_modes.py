@@ -1,4 +1,4 @@
-"""Dynamics from poles and mode shapes that another program has found, as loads felt in every mode."""
+"""Dynamics from poles and mode shapes that another program has found, as balance loads in every mode."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def dynamics_of_modes(
     poles
         Of the six modes, one of each pair, shape (6,) [rad/s].
     shapes
-        Loads felt in any scale, a mode in each row, columns in the order of `COMPONENTS`, shape (6, 6).
+        Balance loads in any scale, a mode in each row, columns in the order of `COMPONENTS`, shape (6, 6).
     mass
         Weighed mass [kg], exact or with its standard uncertainty; it gives the mass matrix.
 

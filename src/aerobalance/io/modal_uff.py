@@ -149,7 +149,7 @@ class ReadModes:
     poles
         With positive imaginary part, shape (m,) [rad/s].
     shapes
-        Loads felt at node 1 in every mode, rows, in the order of `COMPONENTS`; NaN where the file has no such
+        Balance loads at node 1 in every mode, rows, in the order of `COMPONENTS`; NaN where the file has no such
         direction, shape (m, 6).
     """
 

@@ -1,7 +1,7 @@
 """Taps with an instrumented hammer on a balance with its model, of one component or several.
 
-The load felt is integrated mode by mode for the force as it is between the samples, by quadrature over cells that are
-far shorter than a blow.
+The balance load is integrated mode by mode for the force as it is between the samples, by quadrature over cells that
+are far shorter than a blow.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class Tapping:
         return force if self.shaker is None else force + np.where(time >= 0, self.shaker(np.maximum(time, 0.0)), 0.0)
 
     def felt(self, samples: int) -> Array:
-        """Loads felt at the samples, shape (samples, n) [N, N*m]."""
+        """Balance loads at the samples, shape (samples, n) [N, N*m]."""
         poles, shapes, weights = self.dynamics.modal_form
         step = 1 / (self.rate * CELLS)
         begins = np.arange(samples * CELLS) * step

@@ -82,7 +82,7 @@ class Simulation:
     applied
         Force applied to the live end at every sample, shape (n,) [N].
     load
-        Load felt (elastic, static part included) at every sample, without noise and delay, shape (n,) [N].
+        Balance load (elastic, static part included) at every sample, without noise and delay, shape (n,) [N].
     ground_acceleration
         Acceleration of the ground end at every sample, shape (n,) [m/s^2].
     pitch

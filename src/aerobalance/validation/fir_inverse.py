@@ -57,7 +57,7 @@ class MeasuredResponse:
     frequency
         Frequencies, increasing from near zero, shape (m,) [Hz].
     values
-        Load felt over force applied, shape (m,) [1].
+        Balance load over force applied, shape (m,) [1].
     source
         Where it comes from, in words.
     weight
@@ -131,7 +131,7 @@ def response_of_record(
     Parameters
     ----------
     recording
-        Load felt before, during and after one sudden change, until the ringing has died out.
+        Balance load before, during and after one sudden change, until the ringing has died out.
     component
         Which component.
     natural_frequency

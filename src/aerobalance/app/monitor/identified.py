@@ -51,7 +51,7 @@ def write_identified(path: Path, account: Mapping[str, Any], recording: Path, *,
     record = recording_of(recording)
     found = account["components"][component]
     figures = [
-        ("record", _record_figure(record, component), "The whole record: load felt, its least and largest values.")
+        ("record", _record_figure(record, component), "The whole record: balance load, its least and largest values.")
     ]
     if kind == "decay":
         figures += _release(record, found, component)

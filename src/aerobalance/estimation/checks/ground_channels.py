@@ -1,7 +1,7 @@
 """Whether the channels of the ground's motion are late, early, or read too much, by what the loads show of the motion.
 
 The ground's motion and the weight at a changing attitude are taken off the readings of the loads. Where a channel was
-late or had another gain, a part of it is left: the load felt under its rate of change, or under itself. Both are
+late or had another gain, a part of it is left: the balance load under its rate of change, or under itself. Both are
 known shapes, and the force is a process that was learned; generalised least squares finds how much of each is in the
 readings, and whether the delay grows along the record, as it does where two clocks are not one. A force that goes with
 the motion, as that of the flow on a model that swings does, looks the same, which is said.

@@ -116,11 +116,11 @@ class Witness:
 
     @property
     def known(self) -> Array:
-        """Load felt under constant, steps and hum, shape (n, p)."""
+        """Balance load under constant, steps and hum, shape (n, p)."""
         return instant_columns(self.fit.reading, self.fit.steps, heights=[step.height for step in self.fit.steps])[0]
 
     def felt(self, slope: Array) -> Array:
-        """Load felt under a change of the ground's specific force, shapes (n,) and (n,) or (n, 6)."""
+        """Balance load under a change of the ground's specific force, shapes (n,) and (n,) or (n, 6)."""
         return self.record.felt_under(SystematicParameter("", "", slope, 0.0))
 
     def without(self, shapes: Array) -> KalmanFilter:

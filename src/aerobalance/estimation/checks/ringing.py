@@ -60,7 +60,7 @@ SETTINGS: Final = RingingSettings()
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rows:
-    """What turns the loads felt into the forces: polynomials in s over a common one, shape (n, n, p).
+    """What turns the balance loads into the forces: polynomials in s over a common one, shape (n, n, p).
 
     Attributes
     ----------

@@ -116,7 +116,7 @@ class White:
         return replace(plain, weights=_weights(lines, samples=shown[0].size))
 
     def columns(self, felt: Sequence[Array]) -> Lines:
-        """Lines of loads felt by each component, shape (n, p) each, in its white readings, shape (m, c, p)."""
+        """Lines of balance loads by each component, shape (n, p) each, in its white readings, shape (m, c, p)."""
         return np.stack([lines_of(self.placed(own, place)) for place, own in enumerate(felt)], axis=1)
 
     def with_drift(self, felt: Sequence[Array]) -> Lines:

@@ -166,7 +166,7 @@ class Scan(NamedTuple):
     Attributes
     ----------
     step
-        Load felt 1, 2, ... samples after a force of 1 N sets in, shape (s,).
+        Balance load 1, 2, ... samples after a force of 1 N sets in, shape (s,).
     response, inverse
         That load whitened with the last gain, and the inverse of its sum of squares, the oldest age first, shape (s,).
     threshold

@@ -111,7 +111,7 @@ class _Averages:
         return cls(np.log(rows[:2]), rows[2:4], rows[4], rows[5], weight)
 
     def felt(self, points: Array) -> Array:
-        """Densities of the load felt at points (b, 5), shape (b, 2, m) [N^2/Hz]."""
+        """Densities of the balance load at points (b, 5), shape (b, 2, m) [N^2/Hz]."""
         level, half, exponent, power = (points[:, place, None, None] for place in range(4))
         bend = np.exp(exponent) * (self.frequency - half) + np.log(np.expm1(np.log(2.0) / np.exp(power)))
         fall = np.logaddexp(0.0, bend)

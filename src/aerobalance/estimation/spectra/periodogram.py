@@ -223,7 +223,7 @@ class Periodogram:
         return np.asarray(background)
 
     def load(self, spectrum: Spectrum) -> Array:
-        """Density of the load felt under a force of this spectrum, as the window sees it [N^2/Hz], shape (m,)."""
+        """Density of the balance load under a force of this spectrum, as the window sees it [N^2/Hz], shape (m,)."""
         if spectrum.roll_off:
             folded = self.folded_gain * spectrum.density(self.folded_frequency)
             return np.asarray(self.gain * spectrum.density(self.frequency) + folded)

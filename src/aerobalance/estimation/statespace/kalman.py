@@ -42,7 +42,7 @@ NOTHING: Final = 1e-9
 """Standard deviation of a part of the initial state in whitened readings, below which it shows nothing [1]."""
 
 LOAD, LOAD_RATE, FORCE = 0, 1, 2
-"""Places in the state: the load felt AF, its rate AF'/w0, and the force F, the first state of its shaping filter.
+"""Places in the state: the balance load AF, its rate AF'/w0, and the force F, the first state of its shaping filter.
 
 The further modes q and their rates q'/w come next, and the states of colored noise last."""
 

@@ -1,8 +1,8 @@
 """Identification of coupled components from base shaking: a ground end that is shaken while no force acts.
 
-With F = 0, X + D X' + A X'' = W(pitch, roll) - M x1'': Eq. (8) of [Gorbushin2020]_ for several components. Loads felt
-and the ground end's motion in six degrees of freedom give A, D and the mass matrix, from any number of records of any
-kind: broadband, swept or stepped.
+With F = 0, X + D X' + A X'' = W(pitch, roll) - M x1'': Eq. (8) of [Gorbushin2020]_ for several components. The balance
+loads and the ground end's motion in six degrees of freedom give A, D and the mass matrix, from any number of records
+of any kind: broadband, swept or stepped.
 """
 
 from __future__ import annotations

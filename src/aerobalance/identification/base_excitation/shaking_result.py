@@ -110,7 +110,7 @@ class ShakingIdentification(CoupledResult):
 
 
 def felt_by_mode(record: ShakeRecord, fit: ShakeParameters, dynamics: CoupledDynamics) -> Complex:
-    """Loads felt in every mode as the ground's motion sets it off, shape (modes, m, 6)."""
+    """Balance loads in every mode as the ground's motion sets it off, shape (modes, m, 6)."""
     poles, shapes, weights = dynamics.modal_form
     net = -(record.taken @ fit.numbers)
     s = 2j * np.pi * record.frequency

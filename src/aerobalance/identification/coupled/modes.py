@@ -23,7 +23,7 @@ class ModeTable:
     u_natural_frequency, u_damping_ratio
         Standard uncertainties, shape (modes,) [Hz] and [1].
     shapes
-        Loads felt over half of range, rows, the largest of a row 1; shape (modes, n).
+        Balance loads over half of range, rows, the largest of a row 1; shape (modes, n).
     covariance
         Covariance of the frequencies, then of the damping ratios, shape (2 modes, 2 modes).
     """

@@ -1,4 +1,4 @@
-"""Response functions of taps: loads felt over force, without a window, and their coherence.
+"""Response functions of taps: balance loads over force, without a window, and their coherence.
 
 A record that is cut off while the balance still rings leaks, and a window that fades it out adds damping. Here the
 record goes on by the motion that was fitted, whose transform is known in closed form, so that nothing is cut.
@@ -42,7 +42,7 @@ class PointResponse:
     frequency
         Shape (m,) [Hz].
     response
-        Loads felt over force, shape (m, n) [1, m].
+        Balance loads over force, shape (m, n) [1, m].
     coherence
         Share of the loads' power that the force explains, shape (m, n) [1]; NaN for one tap.
     """
@@ -163,7 +163,7 @@ def _parts(fit: TapFit, number: int) -> tuple[NDArray[np.complex128], Array, Arr
 
 
 def _blow_transform(fit: TapFit, number: int, frequency: Array) -> NDArray[np.complex128]:
-    """Transform of the loads felt under the force of a tap, by the fit."""
+    """Transform of the balance loads under the force of a tap, by the fit."""
     sizes, force, instants = _parts(fit, number)
     motion = fit.motion
     drive = np.exp(-1j * frequency[:, None] * instants) @ force.astype(np.complex128)

@@ -1,7 +1,7 @@
 """Readings about a tap as a function of the matrices, of the force and of what is the tap's own, with derivatives.
 
-With X the loads felt, A X'' + D X' + X = g h(t): g are the loads of 1 N at the point and in the direction of the tap,
-h is the force of the hammer. Where h is sampled fast enough to show its whole spectrum, what it leaves after the
+With X the balance loads, A X'' + D X' + X = g h(t): g are the loads of 1 N at the point and in the direction of the
+tap, h is the force of the hammer. Where h is sampled fast enough to show its whole spectrum, what it leaves after the
 contact is exactly the sum of the responses to its samples, each as a blow of h times the sampling interval: so the
 readings after the contact are sums of exponentials, as those of a release are, and nothing is windowed.
 
@@ -38,7 +38,7 @@ class Tap:
     time
         Times of the rows, shape (m,), increasing.
     values
-        Loads felt, shape (m, n).
+        Balance loads, shape (m, n).
     before
         Number of rows before the contact; those in the contact are left out.
     instants

@@ -99,7 +99,7 @@ class TapRecord:
     start, rate
         Time of the first sample on the recording's clock [s], and sampling rate [Hz].
     values
-        Loads felt, NaN where missing or at a limit, shape (m, n) [N, N*m].
+        Balance loads, NaN where missing or at a limit, shape (m, n) [N, N*m].
     noise
         Standard deviation of one reading of each load, shape (n,) [N, N*m].
     force_noise

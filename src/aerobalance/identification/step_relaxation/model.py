@@ -34,7 +34,7 @@ class Segment:
     time
         Times of the rows, shape (m,), increasing.
     values
-        Loads felt, shape (m, n).
+        Balance loads, shape (m, n).
     kind
         ``"release"``: held and let go at once. ``"ramp"``: let go over a duration, evenly. ``"free"``: decaying from
         any state, only from the end of `edge` on.

@@ -34,7 +34,7 @@ class ReleaseRecord:
     time
         Times of the rows that have all components, from the first sample, shape (m,) [s].
     values
-        Loads felt, shape (m, n) [N, N*m].
+        Balance loads, shape (m, n) [N, N*m].
     start, rate
         Time of the first sample on the recording's clock [s], and sampling rate [Hz].
     noise

@@ -26,7 +26,7 @@ export function beginNumbers() {
   cards.clear();
   for (const name of loads) cards.set(name, makeCard(name, many));
   envelope = makeEnvelope();
-  const head = ["", "load felt", "force applied"].map((text) => element("span", {}, text));
+  const head = ["", "balance load", "force applied"].map((text) => element("span", {}, text));
   const none = element(
     "p",
     { class: "hint" },
@@ -68,7 +68,7 @@ function makeCard(name, small) {
   for (const key of ["state", "felt", "applied", "doubt", "share"]) parts[key] = span(key);
   for (const key of ["ends", "reach"]) parts[key] = span(`${key} u`);
   parts.felt.textContent = parts.applied.textContent = "–";
-  parts.meter = makeGauge(`Load felt of ${name} over its limit`);
+  parts.meter = makeGauge(`Balance load of ${name} over its limit`);
   const own = panel.components.includes(name),
     kind = small ? "" : "big ",
     of = (what) => element("span", { class: "u" }, ` ${what}`);
@@ -90,7 +90,7 @@ function makeCard(name, small) {
         "div",
         { class: "card none" },
         element("h3", {}, element("span", {}, name), parts.state),
-        element("p", { class: "term" }, "load felt"),
+        element("p", { class: "term" }, "balance load"),
         felt,
         parts.ends,
         parts.meter.gauge,

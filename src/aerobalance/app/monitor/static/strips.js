@@ -278,7 +278,7 @@ function showCursor(lines, { end, rate, seconds, width, newest, unit }) {
   const [felt, force] = lines.map((line, k) => read(line, spreads[k]));
   const band = lines[1] && extent({ ...lines[1], column: 1 }, Math.round(bin), Math.round(bin) + Math.ceil(bins));
   const parts = [`${ms === null ? "" : clockTime(ms, 3)} (−${number(Math.max(0, back), 3)} s)`];
-  parts.push(felt ? `load felt ${felt.text} ${unit}` : "no reading");
+  parts.push(felt ? `balance load ${felt.text} ${unit}` : "no reading");
   if (force) parts.push(`force ${force.text}${band ? ` ± ${fixed(band[1], placesOf(band[1]))}` : ""} ${unit}`);
   else if (lines[1]) parts.push("force not yet worked out");
   const text = parts.join("; ");
