@@ -29,7 +29,7 @@ def here(tmp_path, monkeypatch, rng):
     monkeypatch.chdir(tmp_path)
     time = np.arange(1200) / 1600
     force = 100 * np.sin(2 * np.pi * 9 * time) + 40 * np.sin(2 * np.pi * 23 * time)
-    load = T128.load_felt(force, interval=1 / 1600) + T128.mass * STANDARD_GRAVITY * np.sin(np.deg2rad(5.0))
+    load = T128.balance_load(force, interval=1 / 1600) + T128.mass * STANDARD_GRAVITY * np.sin(np.deg2rad(5.0))
     columns = np.column_stack([time, load + 0.5 * rng.normal(size=time.size), np.full(time.size, 5.0)])
     np.savetxt("run.csv", columns, delimiter=",", header="time [s],AF [N],pitch [deg]", comments="", fmt="%.9g")
     Path("map.toml").write_text(MAP)

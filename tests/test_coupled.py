@@ -118,7 +118,7 @@ def test_response_is_that_of_mass_damper_and_spring(rng):
 
 
 @pytest.mark.parametrize("damped", [1, 150], ids=["as it is", "some poles real"])
-def test_load_felt_is_the_exact_integral(rng, damped):
+def test_balance_load_is_the_exact_integral(rng, damped):
     """Against the matrix exponential of scipy in the coordinates of motion, for loads linear between samples."""
     balance = random_balance(rng)
     n, interval = 400, 1 / 10_000
@@ -131,8 +131,8 @@ def test_load_felt_is_the_exact_integral(rng, damped):
     start = np.concatenate([np.linalg.solve(K, net[0]), np.zeros(6)])
     output = np.hstack([K, np.zeros((6, 6))])
     _, expected, _ = lsim((state, drive, output, np.zeros((6, 6))), net, np.arange(n) * interval, start)
-    found = dynamics.load_felt(net, interval=interval)
-    np.testing.assert_array_equal(dynamics.load_felt(net, interval=interval, every=3), found[::3])
+    found = dynamics.balance_load(net, interval=interval)
+    np.testing.assert_array_equal(dynamics.balance_load(net, interval=interval, every=3), found[::3])
     # 400 steps of an exponential whose state is scaled by 1e7: about 1e-16 x 1e4 x 400
     assert np.abs((found - expected) / balance.half_range).max() < 1e-8
 
@@ -167,10 +167,10 @@ def test_single_components_stay_what_they_are(rng):
     frequency = rng.uniform(0, 500, 10)
     response = coupled.response(frequency)
     net = rng.normal(0, 100, (500, 3))
-    felt = coupled.load_felt(net, interval=1e-4)
+    felt = coupled.balance_load(net, interval=1e-4)
     for column, part in enumerate(SINGLE):
         np.testing.assert_allclose(response[:, column, column], part.response(frequency), rtol=1e-10)
-        expected = part.load_felt(net[:, column], interval=1e-4)
+        expected = part.balance_load(net[:, column], interval=1e-4)
         np.testing.assert_allclose(felt[:, column], expected, atol=1e-8)
     np.testing.assert_array_equal(response[:, 0, 1:], 0)
     for mode, part in zip(coupled.modes, sorted(SINGLE, key=lambda d: d.natural_frequency), strict=True):

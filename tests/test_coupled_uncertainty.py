@@ -49,7 +49,7 @@ def test_a_wrong_mass_is_wrong_in_the_zero_of_the_loads_too(at_zero: float, rng,
     assert mass is not None
     own = [COMPONENTS.index(name) for name in dynamics.components]
     force = 0.03 * SIZE * band(rng, 250, count=COUNT, rate=RATE, columns=2)
-    felt = dynamics.load_felt(force, interval=1 / RATE) + mass.weight(np.array([pitch]))[:, own]
+    felt = dynamics.balance_load(force, interval=1 / RATE) + mass.weight(np.array([pitch]))[:, own]
     recording = recording_of(felt + NOISE * rng.normal(size=felt.shape), pitch=np.full(COUNT, pitch))
     zero = [Attitudes(np.array([at_zero]), np.zeros(1))]
     recording = replace(recording, gravity_on_zero=GravityOnZero.of(zero, gravity=STANDARD_GRAVITY))

@@ -90,7 +90,7 @@ def test_a_force_is_read_as_the_coupled_balance_felt_it(drawn: Drawn, rng) -> No
     balance, dynamics = drawn
     net = broadband(rng, Band(2, 300), rms=balance.half_range, period=0.4)(np.arange(10_000) / RATE)
     net[:2500] *= np.sin(np.linspace(0, np.pi / 2, 2500))[:, None] ** 2  # at rest before, whatever that is taken for
-    felt = dynamics.load_felt(upsample_compensated(net), interval=1 / RATE / FINE, every=FINE)
+    felt = dynamics.balance_load(upsample_compensated(net), interval=1 / RATE / FINE, every=FINE)
     for place, name in enumerate(dynamics.components):
         decoupled = dynamics.decoupled(name, noise=_noise(balance))
         expected = decoupled.reading(felt, interval=1 / RATE)

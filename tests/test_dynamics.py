@@ -151,7 +151,7 @@ def test_delay_turns_the_phase_back():
 
 
 @pytest.mark.parametrize("dynamics", [T128, HEAVY, CRITICAL], ids=["light", "overdamped", "critical"])
-def test_load_felt_is_the_integrated_one(dynamics, rng):
+def test_balance_load_is_the_integrated_one(dynamics, rng):
     interval = 0.1 / dynamics.natural_frequency
     net = rng.normal(size=40)
     time = np.arange(net.size) * interval
@@ -168,19 +168,19 @@ def test_load_felt_is_the_integrated_one(dynamics, rng):
         state = tuple(solution.y[:, -1])
         load.append(state[0])
     # critical damping: poles split by 1e-6 cancel to about eps / 1e-6 times a sum over 40 samples
-    assert dynamics.load_felt(net, interval=interval) == pytest.approx(np.array(load), abs=1e-7), time[-1]
+    assert dynamics.balance_load(net, interval=interval) == pytest.approx(np.array(load), abs=1e-7), time[-1]
 
 
-def test_load_felt_under_a_ramp_is_the_step_response_over_a_duration():
+def test_balance_load_under_a_ramp_is_the_step_response_over_a_duration():
     interval = 1 / 1600
     net = np.clip(np.arange(400) - 3.0, 0, 10) / 10
     expected = T128.step_response(np.arange(400) * interval - 3 * interval, duration=10 * interval)
     # both exact; rounding of 400 recursions
-    assert T128.load_felt(net, interval=interval) == pytest.approx(expected, abs=1e-10)
+    assert T128.balance_load(net, interval=interval) == pytest.approx(expected, abs=1e-10)
 
 
-def test_load_felt_of_a_constant_is_the_constant():
-    assert T128.load_felt(np.full(50, 7.5), interval=1e-3) == pytest.approx(np.full(50, 7.5), abs=1e-12)
+def test_balance_load_of_a_constant_is_the_constant():
+    assert T128.balance_load(np.full(50, 7.5), interval=1e-3) == pytest.approx(np.full(50, 7.5), abs=1e-12)
 
 
 @pytest.mark.parametrize("quantity", [*PARAMETERS, "natural_frequency", "damping_ratio"])
@@ -281,7 +281,7 @@ def test_load_of_several_modes_is_the_sum_of_integrated_oscillators():
         for mode in TWO.modes
     )
     fine = np.arange(400 * 16) / 1600 / 16
-    found = TWO.load_felt(force(fine), interval=fine[1])[::16]
+    found = TWO.balance_load(force(fine), interval=fine[1])[::16]
     # the force is drawn straight between points: an error of (2 pi 90 h)^2 / 12 = 4e-5 of it, times the rise
     assert found == pytest.approx(expected, abs=50 * 4e-5 * 5)
     q, rate = TWO.modes[1].driven(force(fine), interval=fine[1])
@@ -331,9 +331,9 @@ def test_modes_that_show_their_rate_begin_with_the_load_at_rest():
 def test_modes_that_show_their_rate_agree_in_time_and_frequency():
     balance, interval = in_step(), 1e-5
     time = np.arange(100_000) * interval
-    ramp = np.minimum(time / 0.004, 1.0)  # linear between samples, as `load_felt` takes it
+    ramp = np.minimum(time / 0.004, 1.0)  # linear between samples, as `balance_load` takes it
     expected = balance.step_response(time, duration=0.004)
-    np.testing.assert_allclose(balance.load_felt(ramp, interval=interval), expected, atol=1e-10)
+    np.testing.assert_allclose(balance.balance_load(ramp, interval=interval), expected, atol=1e-10)
     late = balance.step_response(time - 0.1)
     assert late == pytest.approx(1 - balance.free_decay(time - 0.1), abs=1e-14)
     # the transform of the impulse response, a step's rate, by the trapezoidal rule

@@ -53,7 +53,7 @@ def smooth_force(n: int) -> np.ndarray:
 
 def felt(dynamics: Dynamics, net: np.ndarray) -> np.ndarray:
     """Balance load at the samples under a net force on the fine clock."""
-    return dynamics.load_felt(net, interval=1 / (RATE * FINE))[::FINE]
+    return dynamics.balance_load(net, interval=1 / (RATE * FINE))[::FINE]
 
 
 def rms(values: np.ndarray) -> float:

@@ -132,7 +132,7 @@ def test_lines_and_their_columns_agree():
 def test_force_is_what_it_is_without_hum(stepped, rng):
     time = clock(3)
     force = 300 * (time > 1.2003) if stepped else 200 * np.sin(2 * np.pi * 7.3 * time)
-    load = 300 * T128.step_response(time - 1.2003) if stepped else T128.load_felt(force, interval=1 / RATE)
+    load = 300 * T128.step_response(time - 1.2003) if stepped else T128.balance_load(force, interval=1 / RATE)
     load = load + rng.normal(0, NOISE, time.size)
     lines = hum(rng, time, 50.02, {1: 12.0, 3: 6.0, 5: 3.0})
     clean = estimate_force(record_of(load), T128).only

@@ -136,7 +136,7 @@ def test_a_blow_is_used_from_where_it_decays_freely(rng):
     for place, name in ((0, "NF"), (3, "YM"), (5, "AF")):
         net = np.zeros((time.size, 6))
         net[:, place] = np.where((time >= 0.05) & (time < 0.052), 2.0, 0.0) * HALF_RANGE[place]
-        values = true.load_felt(net, interval=1 / RATE) + 1e-4 * HALF_RANGE * rng.normal(size=net.shape)
+        values = true.balance_load(net, interval=1 / RATE) + 1e-4 * HALF_RANGE * rng.normal(size=net.shape)
         made.append(recording(values, name))
     fit = quietly(made)
     assert any("not that of a clean release" in note for note in fit.notes), fit.notes

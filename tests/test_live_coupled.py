@@ -6,7 +6,7 @@ import pytest
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.rigid_body import RigidMass
-from aerobalance.estimation.decoupled_record import load_felt
+from aerobalance.estimation.decoupled_record import balance_load
 from aerobalance.estimation.live.decoupling import MARGIN, Decoupler
 from aerobalance.estimation.live.live_force import JUDGED, LiveForce, LiveSettings
 from aerobalance.estimation.live.platform import LiveChannel, LivePlatform
@@ -31,7 +31,7 @@ ALL = LiveSettings(samples_a_period=np.inf)
 def felt(generator: np.random.Generator, balance: CoupledBalance, count: int, *, rms: float = 0.05) -> np.ndarray:
     """Readings of a balance under broadband loads to 150 Hz, with its noise."""
     force = broadband(generator, Band(0, 150), rms=rms * balance.half_range, period=2 * count / RATE)
-    exact = load_felt(balance.dynamics, force(np.arange(count) / RATE), interval=1 / RATE)
+    exact = balance_load(balance.dynamics, force(np.arange(count) / RATE), interval=1 / RATE)
     return exact + noise_of(balance) * generator.standard_normal((count, 6))
 
 
@@ -87,7 +87,7 @@ def test_hidden_coordinates_are_taken_apart_too(rng):
     assert dynamics.internal == 1
     force = broadband(rng, Band(0, 150), rms=np.full(6, 50.0), period=1.0)(np.arange(4000) / RATE)[:, :2]
     force *= from_rest(4000)
-    readings = load_felt(dynamics, force, interval=1 / RATE)
+    readings = balance_load(dynamics, force, interval=1 / RATE)
     channels = [dynamics.decoupled(name, noise=np.diag([1.0, 0.01])) for name in dynamics.components]
     found, freed = apart(rng, channels, readings), apart(rng, channels, readings, force)
     for place, channel in enumerate(channels):
@@ -119,7 +119,7 @@ def test_known_loads_are_taken_off(rng):
     known = broadband(rng, Band(0, 150), rms=0.1 * balance.half_range, period=1.0)(np.arange(count) / RATE)
     known *= from_rest(count)
     readings = felt(rng, balance, count)
-    more = readings + load_felt(balance.dynamics, known, interval=1 / RATE)
+    more = readings + balance_load(balance.dynamics, known, interval=1 / RATE)
     channels = channels_of(balance)
     difference = apart(rng, channels, more, known) - apart(rng, channels, readings)
     for place, channel in enumerate(channels):
@@ -211,7 +211,7 @@ def test_chunks_do_not_matter(what, rng):
     dynamics, rate, count = pair(), 2500.0, 2000
     time = np.arange(count)[:, None] / rate
     force = np.array([100.0, 5.0]) * sum(np.sin(2 * np.pi * (f * time + rng.random(2))) for f in (7, 19, 33, 51))
-    readings = dynamics.load_felt(force, interval=1 / rate) + rng.normal(0, [0.2, 0.01], (count, 2))
+    readings = dynamics.balance_load(force, interval=1 / rate) + rng.normal(0, [0.2, 0.01], (count, 2))
     channels, settings, noise = {}, LiveSettings(learn_inside=False, samples_a_period=np.inf), None
     if what == "learned":
         noise = np.diag([0.2, 0.01]) ** 2

@@ -185,7 +185,7 @@ def kinks(time: Array) -> Array:
 
 def test_no_kind_of_load_says_anything_against_the_right_dynamics(rng):
     fine = np.arange(40 * 4800) / (40 * RATE)
-    load = BARE.load_felt(kinks(fine), interval=1 / (40 * RATE))[::40]
+    load = BARE.balance_load(kinks(fine), interval=1 / (40 * RATE))[::40]
     turbulence = shaken(BARE, rng, seconds=3.0).channel("AF").values
     instants, heights = np.arange(0.2, 3, 0.4), 300 * np.array([1, -2, 1.5, -1, 1, -1.2, 0.7])
     steps = np.sum([h * BARE.step_response(fine[::40] - t) for t, h in zip(instants, heights, strict=True)], axis=0)

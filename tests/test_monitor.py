@@ -310,7 +310,7 @@ def test_loads_from_gauge_outputs(rng, seed) -> None:
 @pytest.mark.parametrize(
     ("limit", "state"), [((-3000.0, 3000.0), "ok"), ((-1200.0, 50.0), "high"), ((-1000.0, math.inf), "over")]
 )
-def test_alarms_use_the_load_felt(limit, state) -> None:
+def test_alarms_use_the_balance_load(limit, state) -> None:
     source = source_of("cable_cut", seed=8, noise=0.0)
     view = view_of(source, half={"AF": 2000.0}, limits={"AF": limit})
     for _ in range(12):

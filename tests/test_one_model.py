@@ -200,7 +200,9 @@ def recording(rng: np.random.Generator) -> Recording:
     time = np.arange(count) / rate
     force = 100 * np.sin(2 * np.pi * 12 * time)
     channels = {
-        part.component: Channel(part.component, part.load_felt(force, interval=1 / rate) + rng.normal(size=count), "N")
+        part.component: Channel(
+            part.component, part.balance_load(force, interval=1 / rate) + rng.normal(size=count), "N"
+        )
         for part in PARTS
     }
     return Recording.from_columns(time, channels, name="run")
@@ -277,7 +279,7 @@ def test_live_forces_are_the_same(rng: np.random.Generator) -> None:
 
 def test_few_steps_of_a_converter_are_counted_in_both(rng: np.random.Generator) -> None:
     part, count, rate = PARTS[1], 3000, 1600.0
-    load = part.load_felt(2 * np.cumsum(rng.normal(size=count)), interval=1 / rate) + 0.05 * rng.normal(size=count)
+    load = part.balance_load(2 * np.cumsum(rng.normal(size=count)), interval=1 / rate) + 0.05 * rng.normal(size=count)
     channel = Channel("AF", 4.0 * np.round(load / 4.0), "N")
     given = Recording.from_columns(np.arange(count) / rate, {"AF": channel}, name="run")
     found = []

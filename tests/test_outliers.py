@@ -53,7 +53,7 @@ def test_noise_steps_blows_and_tones_have_no_wild_sample(rng):
         rng.normal(0, 1.0, 200_000),
         ringing(rng),
         ringing(rng, noise=0.0),
-        T128.load_felt(blow, interval=1 / (16 * RATE))[::16] + rng.normal(0, 2.0, TIME.size),
+        T128.balance_load(blow, interval=1 / (16 * RATE))[::16] + rng.normal(0, 2.0, TIME.size),
         np.sin(2 * np.pi * 700 * TIME),
         np.round(5 * np.sin(20 * TIME) + rng.normal(0, 0.05, TIME.size)),  # few steps
         np.full(500, 3.0),

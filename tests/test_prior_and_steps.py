@@ -55,7 +55,7 @@ def smooth_reading(
     """Balance load under a smooth force, made on a clock 8 times as fast."""
     n = int(seconds * RATE)
     force = band_limited(generator, 8 * n, rate=8 * RATE, edge=edge, rms=rms)
-    load = T128.load_felt(force, interval=1 / (8 * RATE))[::8]
+    load = T128.balance_load(force, interval=1 / (8 * RATE))[::8]
     return Observation(load + generator.normal(0, noise, n), 1 / RATE, T128)
 
 

@@ -80,7 +80,7 @@ def test_one_component_as_the_documentation_shows_it(rng):
     spring = ab.Dynamics("AF", mass=177.87, stiffness=3.093e7, damping=828.21)
     truth = 200 * np.sin(2 * np.pi * 20 * t)
     weight = 177.87 * 9.80665 * np.sin(np.radians(pitch))
-    load = spring.load_felt(truth + weight, interval=1 / rate) + rng.normal(0, 2.0, count)
+    load = spring.balance_load(truth + weight, interval=1 / rate) + rng.normal(0, 2.0, count)
     run = ab.Recording.from_arrays(t, {"AF": load, "pitch": pitch}, units={"pitch": "deg"})
     force = ab.estimate_force(run, spring)
     inner = slice(200, -200)

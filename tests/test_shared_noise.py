@@ -184,7 +184,7 @@ def test_wrong_matrices_are_counted_in_all_rows_that_have_a_part(rng, seed) -> N
     known = CoupledDynamics(("NF", "PM"), inertia, damping, np.diag(deviation**2))
     time = np.arange(20_000) / 40_000
     force = broadband(rng, Band(0, 150, order=2), rms=np.tile([100.0, 5.0], 3), period=1.0)(time)[:, :2]
-    felt = known.load_felt(force, interval=1 / 40_000)[::4]
+    felt = known.balance_load(force, interval=1 / 40_000)[::4]
     noise = np.array([0.1, 0.005]) * rng.normal(size=felt.shape)
     channels = {
         name: Channel(name, column, si_unit(name)) for name, column in zip(("NF", "PM"), (felt + noise).T, strict=True)

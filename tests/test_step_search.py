@@ -120,7 +120,7 @@ def test_what_the_filter_has_forgotten_of_a_response_is_a_constant(rng, monkeypa
     """Of a smooth spectrum a part of the whitened response is all of it, and the scan is that of the whole."""
     reading = reading_of([], rng, seconds=2)
     force = 300 * signal.lfilter(*signal.butter(2, 40.0, fs=RATE), rng.normal(size=reading.values.size))
-    reading = replace(reading, values=reading.values + T128.load_felt(force, interval=1 / RATE))
+    reading = replace(reading, values=reading.values + T128.balance_load(force, interval=1 / RATE))
     smooth, columns = fit_prior(reading, columns=columns_of([], reading), smooth=True), columns_of([], reading)
     filter_ = KalmanFilter.of(reading.system(smooth), reading.present)
     whole = Scan.of(reading, filter_, columns)

@@ -324,7 +324,7 @@ def test_a_load_that_sets_in_after_quiet_is_followed(rng):
     _, truth = drawn(rng, 4800, learned=second_order(cutoff=60.0, density=200.0), level=0.0)
     time = np.arange(4800) / RATE
     rise = np.clip((time - 1.5) / 0.1, 0, 1)
-    readings = T128.load_felt(truth * rise, interval=1 / RATE) + rng.normal(0, NOISE, 4800)
+    readings = T128.balance_load(truth * rise, interval=1 / RATE) + rng.normal(0, NOISE, 4800)
     live = Axial(T128, learned=SpectralPrior(Spectrum(np.zeros(0), np.zeros(0)), ShapingFilter.silent(), NOISE))
     force, _ = streamed(live, readings)
     # what was given at first is given up: a wide band, or learned again since

@@ -49,7 +49,7 @@ def run(
     inside = (frequency > 0) & (frequency < highest)
     phasors = inside * (generator.normal(size=inside.size) + 1j * generator.normal(size=inside.size))
     force = np.fft.irfft(phasors, 8 * count)
-    load = dynamics.load_felt(force * rms / force.std() + 50, interval=1 / (8 * RATE))[::8]
+    load = dynamics.balance_load(force * rms / force.std() + 50, interval=1 / (8 * RATE))[::8]
     return record(AF=load + noise * generator.normal(size=count))
 
 

@@ -173,7 +173,7 @@ def test_coupled_components_with_their_weight(rng) -> None:
     force = 0.03 * SIZE * band(rng, 250, count=count, rate=rate, columns=2)
     pitch = np.full(count, 0.1)
     weight = dynamics.mass.weight(pitch)[:, [0, 1]]
-    load = dynamics.load_felt(force + weight, interval=1 / rate) + 1e-4 * SIZE * rng.normal(size=(count, 2))
+    load = dynamics.balance_load(force + weight, interval=1 / rate) + 1e-4 * SIZE * rng.normal(size=(count, 2))
     channels = {name: Channel(name, load[:, i], unit) for i, (name, unit) in enumerate((("NF", "N"), ("PM", "N*m")))}
     channels["pitch"] = Channel("pitch", pitch, "rad")
     record = Recording.from_columns(np.arange(count) / rate, channels, name="pair")

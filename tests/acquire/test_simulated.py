@@ -84,7 +84,7 @@ def test_six_components_agree_with_loads_on_a_grid() -> None:
     np.testing.assert_allclose(found[:, 6:], ground[::fine], atol=1e-8)
     cable = np.where(np.arange(time_.size)[:, None] < 0.1 * rate * fine, -CABLE_CUT.excitation.value, 0.0)
     net = cable * np.ones(6) - ground @ dynamics.mass.matrix.T
-    before = dynamics.load_felt(net, interval=1 / (fine * rate))[::fine]
+    before = dynamics.balance_load(net, interval=1 / (fine * rate))[::fine]
     # straight lines on the grid put a jump half a step late, of a ringing that is twice the force at most
     late = 2 * CABLE_CUT.excitation.value * 2 * np.pi * 120 / (2 * fine * rate)
     assert np.abs(found[:, :6] - before).max() < 6 * late

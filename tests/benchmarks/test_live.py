@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.decoupled_record import load_felt
+from aerobalance.estimation.decoupled_record import balance_load
 from aerobalance.estimation.live.live_force import LiveForce, LiveSettings
 from aerobalance.estimation.prior import Observation, SpectralPrior, fit_prior
 from aerobalance.estimation.steps import Step
@@ -181,7 +181,7 @@ def test_six_coupled_components_on_one_core(rate: float, record, rng) -> None:
     force = broadband(rng, Band(0, 300), rms=0.05 * balance.half_range, period=8.0)
     deviation = balance.noise * balance.half_range
     time_ = np.arange(round(8 * rate)) / rate
-    exact = load_felt(balance.dynamics, force(time_), interval=1 / rate)
+    exact = balance_load(balance.dynamics, force(time_), interval=1 / rate)
     readings = exact + deviation * rng.standard_normal(exact.shape)
     settings = LiveSettings(learn_inside=False, samples_a_period=np.inf)
     live = LiveForce(balance.dynamics, rate=rate, settings=settings)

@@ -201,7 +201,7 @@ def test_harmonic_force_at_resonance(place: str, detuned: float, record, rng) ->
     frequency, amplitude, fine = detuned * dynamics.natural_frequency, 0.1 * half_range, 8
     time = np.arange(round(4 * rate) * fine) / (rate * fine)
     force = amplitude * np.sin(2 * np.pi * frequency * (time - 0.5)) * (time >= 0.5)
-    load = dynamics.load_felt(force, interval=1 / (rate * fine))[::fine]
+    load = dynamics.balance_load(force, interval=1 / (rate * fine))[::fine]
     time = time[::fine]
     channel = Channel("AF", load + rng.normal(0, noise, time.size), "N")
     recording = Recording.from_columns(time, {"AF": channel}, name="resonance")

@@ -27,7 +27,7 @@ def run_of(
     dynamics = spring() if dynamics is None else dynamics
     before = 400
     load = mean + rng.normal(0, 20.0, samples + before)
-    felt = dynamics.load_felt(load, interval=1 / RATE)[before:] + rng.normal(0, 0.5, samples)
+    felt = dynamics.balance_load(load, interval=1 / RATE)[before:] + rng.normal(0, 0.5, samples)
     return ab.Recording.from_arrays(np.arange(samples) / RATE, {"AF": felt})
 
 

@@ -62,7 +62,7 @@ def shaken(
     pitch = pitching * (0.1 + 0.05 * np.sin(2 * np.pi * 3 * np.arange(fine * COUNT) / (fine * RATE)))
     assert dynamics.mass is not None
     weight = pitching * dynamics.mass.weight(pitch)[:, [COMPONENTS.index(name) for name in dynamics.components]]
-    felt = dynamics.load_felt(force + weight, interval=1 / (fine * RATE))
+    felt = dynamics.balance_load(force + weight, interval=1 / (fine * RATE))
     return force[::fine], felt[::fine], pitch[::fine]
 
 

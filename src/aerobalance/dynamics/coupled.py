@@ -284,7 +284,7 @@ class CoupledDynamics(BalanceDynamics):
         whole = self.equation(2j * np.pi * np.asarray(frequency, dtype=np.float64))
         return np.asarray(np.linalg.inv(whole)[:, :n, :n])
 
-    def load_felt(self, net: Array, *, interval: float, every: int = 1) -> Array:
+    def balance_load(self, net: Array, *, interval: float, every: int = 1) -> Array:
         """Balance loads under loads that are linear between samples and were held before the first; both (samples, n).
 
         Parameters

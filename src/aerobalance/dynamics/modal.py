@@ -274,7 +274,7 @@ class ModalModel(ABC):
         risen = sum(mode.risen(t) - mode.risen(late) for mode in self.modes)
         return np.asarray(risen / duration)
 
-    def load_felt(self, net: Array, *, interval: float) -> Array:
+    def balance_load(self, net: Array, *, interval: float) -> Array:
         """Balance load under a net force that is linear between samples: Eq. (8) integrated exactly.
 
         Parameters

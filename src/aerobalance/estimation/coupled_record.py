@@ -16,7 +16,7 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.correlated_noise import SharedNoise
-from aerobalance.estimation.decoupled_record import DecoupledRecord, load_felt
+from aerobalance.estimation.decoupled_record import DecoupledRecord, balance_load
 from aerobalance.estimation.record import BalanceRecord, check_length, component_channels
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.motion.platform import PlatformMotion
@@ -108,7 +108,7 @@ class CoupledRecord(BalanceRecord):
     def taken_with(self, dynamics: CoupledDynamics, *, noise: Array | None = None) -> CoupledRecord:
         """The same record with other dynamics of its components, or with another covariance of their noise."""
         noise = self.noise if noise is None else noise
-        from_ground = load_felt(dynamics, net_load(self.platform, dynamics), interval=self.interval)
+        from_ground = balance_load(dynamics, net_load(self.platform, dynamics), interval=self.interval)
         shift = self.on_zero - _weight_on_zero(self.platform, dynamics)
         return replace(
             self,
@@ -195,7 +195,7 @@ class CoupledRecord(BalanceRecord):
         """
         present = np.isfinite(self.loads)
         force = np.column_stack([forces[name] for name in self.dynamics.components])
-        felt = load_felt(self.dynamics, force, interval=self.interval) + self.from_ground
+        felt = balance_load(self.dynamics, force, interval=self.interval) + self.from_ground
         left = _free_motion(self.dynamics, filled - felt, present, interval=self.interval)
         return np.where(present, self.loads, felt + left)
 

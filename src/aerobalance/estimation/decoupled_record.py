@@ -265,8 +265,8 @@ def _directions(series: Array, numbers: Array, *, least: float) -> Array:
     return np.asarray(turned.T[:, power > max(least**2, UNSEEN**2 * max(float(power.sum()), 0.0))])
 
 
-def load_felt(dynamics: CoupledDynamics, net: Array, *, interval: float) -> Array:
+def balance_load(dynamics: CoupledDynamics, net: Array, *, interval: float) -> Array:
     """Balance loads under loads on the moving mass that are band-limited, both (samples, n)."""
     if not net.any():
         return np.zeros_like(net)
-    return dynamics.load_felt(upsample_compensated(net), interval=interval / FINE, every=FINE)
+    return dynamics.balance_load(upsample_compensated(net), interval=interval / FINE, every=FINE)
