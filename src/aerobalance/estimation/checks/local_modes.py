@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -46,8 +47,8 @@ class LocalModeSettings:
         Standard deviations of an ordinate, in the logarithm, by which a peak that is looked at stands out.
     evidence
         Gain in twice the log-likelihood that a further mode must bring.
-    likely
-        Damping ratio from which the search for that of a further mode starts.
+    likely, share
+        Damping ratio and share from which the search for those of a further mode starts.
     drops
         Changes of the logarithm of the load's spectrum at an edge from which the search for one starts.
     heaviest
@@ -66,6 +67,7 @@ class LocalModeSettings:
     chance: float = 4.5
     evidence: float = 60.0
     likely: float = 0.008
+    share: float = 0.05
     drops: tuple[float, ...] = (-3.0, 3.0)
     heaviest: float = 0.1
     excited: float = 20.0
@@ -176,22 +178,7 @@ def missing_mode(seen: Averaged, dynamics: ModalModel) -> MissingMode | None:
         if band.size < 16:
             continue
         plain = _fit(seen, band, lambda _, f: _power(dynamics, f), start=np.zeros(0), scale=np.zeros(0))
-        best: tuple[_LocalFit, Mode] | None = None
-        for share in (0.05, -0.05):
-
-            def further(point: Array, share: float = share) -> Mode:
-                return Mode(float(np.exp(point[0])), float(np.exp(point[1])), share * float(np.exp(point[2])))
-
-            def bent(point: Array, frequency: Array, further: Callable[[Array], Mode] = further) -> Array:
-                return _power(dynamics.with_modes(*dynamics.further_modes, further(point)), frequency)
-
-            start = np.array([np.log(centre), np.log(SETTINGS.likely), 0.0])
-            found = _fit(seen, band, bent, start=start, scale=np.array([0.2 * SETTINGS.likely, 0.3, 0.5]))
-            if best is None or found.twice_log_likelihood > best[0].twice_log_likelihood:
-                best = found, further(found.point)
-        if best is None:
-            continue
-        found, mode = best
+        found, mode = _further_mode(seen, band, dynamics, centre)
         gain = found.twice_log_likelihood - plain.twice_log_likelihood
         width = 2 * mode.damping_ratio * mode.natural_frequency
         inside = abs(mode.natural_frequency / centre - 1) < SETTINGS.band / 2
@@ -205,6 +192,26 @@ def missing_mode(seen: Averaged, dynamics: ModalModel) -> MissingMode | None:
             relative = np.sqrt(np.diag(found.covariance))  # of the logarithms
             return MissingMode(mode, float(relative[0]) * mode.natural_frequency, float(relative[2]) * abs(mode.share))
     return None
+
+
+def _further_mode(
+    seen: Averaged, band: NDArray[np.intp], dynamics: ModalModel, centre: float
+) -> tuple[_LocalFit, Mode]:
+    """The likeliest fit with a further mode near a frequency [Hz], and the mode, whose share may have either sign."""
+
+    def mode_at(sign: int, point: Array) -> Mode:
+        f, ratio, share = np.exp(point)
+        return Mode(float(f), float(ratio), float(sign * share))
+
+    def bent(sign: int, point: Array, frequency: Array) -> Array:
+        return _power(dynamics.with_modes(*dynamics.further_modes, mode_at(sign, point)), frequency)
+
+    found = []
+    start = np.log([centre, SETTINGS.likely, SETTINGS.share])
+    for sign in (1, -1):
+        fit = _fit(seen, band, partial(bent, sign), start=start, scale=np.array([0.2 * SETTINGS.likely, 0.3, 0.5]))
+        found.append((fit, mode_at(sign, fit.point)))
+    return max(found, key=lambda pair: pair[0].twice_log_likelihood)
 
 
 def _edge(seen: Averaged, band: NDArray[np.intp], dynamics: ModalModel, mode: Mode) -> float:
