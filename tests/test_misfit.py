@@ -21,6 +21,8 @@ from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor
+from faults.cases import missing_modes
+from faults.trials import trial
 from seeds import new_seed, trials
 
 RATE = 1600.0
@@ -133,6 +135,25 @@ def test_a_smooth_load_shows_no_mode_and_no_change(rng):
     assert abs(change[0]) < 6 * np.sqrt(covariance[0, 0])
     # chi-square with two degrees of freedom passes this once in 3 million
     assert evidence < 30
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_large_mode_in_a_short_record_is_named_and_counted(seed):
+    """A tenth of the load at 1.5 f0, with hardly enough evidence (1), and less high than the resonance's slope (2)."""
+    (case,) = [case for case in missing_modes() if case.name == "mode at 1.5 f0, 10 %, 0-200 Hz, 2.5 s"]
+    found = trial((case, seed))
+    assert "missing mode" in found["kinds"]
+    assert found["verdict"] != "fit for use"
+    assert found["error"] < 3 * found["u"]  # what a promise of u leaves; without the mode it is 40 u
+
+
+def test_a_mode_that_is_left_open_counts_by_its_probability(monkeypatch):
+    """Its gain is 14: with 16 asked it is not named, and the force is no surer for that."""
+    (case,) = [case for case in missing_modes() if case.name == "mode at 1.5 f0, 10 %, 0-200 Hz, 2.5 s"]
+    monkeypatch.setattr(resonance, "SETTINGS", replace(resonance.SETTINGS, decisive=16.0))
+    found = trial((case, 1))
+    assert "missing mode" not in found["kinds"]
+    assert found["error"] < 3 * found["u"]
 
 
 @pytest.mark.parametrize("edge", [40.0, 60.0, 90.0])  # 60 Hz is within the resonance, of which the edge cuts a part
