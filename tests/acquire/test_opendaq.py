@@ -5,6 +5,7 @@ import signal
 import socket
 import time
 import warnings
+from contextlib import contextmanager
 from fractions import Fraction
 from importlib.util import find_spec
 
@@ -61,6 +62,25 @@ def setup_of(address, *, channels=()):
     return parse_setup(text + "".join(f"[channels.{name}]\n" for name in channels))
 
 
+@contextmanager
+def recording_of(port, file, *, channels=()):
+    """Session and recorder of a server that listens, at work until the block ends."""
+    with Session(setup_of(f"daq.nd://127.0.0.1:{port}", channels=channels), file.parent) as session:
+        recorder = session.record(file)
+        recorder.ready()
+        session.start()
+        yield session, recorder
+
+
+def checked_gaps(file, progress, ticks):
+    """Text of a record's first gap; the samples of all its gaps are those that no block holds."""
+    # on a busy machine the signals may be read anew once more, after the first samples: another gap, as exact
+    gap, *more = contents(file).gaps
+    missing = gap["samples"] + sum(other["samples"] for other in more)
+    assert missing == progress.lost == ticks[-1] + 1 - ticks[0] - len(ticks)
+    return gap["text"]
+
+
 def ended(recorder):
     """Wait for a record to end by itself."""
     limit = time.monotonic() + 120
@@ -86,10 +106,7 @@ def test_server_that_is_killed_and_started_again_leaves_a_gap_of_its_exact_lengt
     port, file = free_port(), tmp_path / "run.h5"
     with Server(SERVER, port, 25_000) as server, Server(SERVER, port, 25_000) as again:
         server.listen()
-        with Session(setup_of(f"daq.nd://127.0.0.1:{port}"), tmp_path) as session:
-            recorder = session.record(file)
-            recorder.ready()
-            session.start()
+        with recording_of(port, file) as (_, recorder):
             before = follow(recorder, lambda progress: progress.seconds > 1.5)
             assert before.gaps == 0
             server.kill()
@@ -98,11 +115,7 @@ def test_server_that_is_killed_and_started_again_leaves_a_gap_of_its_exact_lengt
             progress = recorder.stop("enough")
     assert progress.reason == "enough"
     ticks = checked_ticks(file, server, again)
-    # on a busy machine the signals may be read anew once more, after the first samples: another gap, as exact
-    gap, *more = contents(file).gaps
-    missing = gap["samples"] + sum(other["samples"] for other in more)
-    assert missing == progress.lost == ticks[-1] + 1 - ticks[0] - len(ticks)
-    assert b"lost and made again" in gap["text"]
+    assert b"lost and made again" in checked_gaps(file, progress, ticks)
 
 
 @installed
@@ -110,10 +123,7 @@ def test_device_that_comes_back_at_another_rate_ends_the_record_and_says_so(tmp_
     port = free_port()
     with Server(SERVER, port, 25_000) as server, Server(SERVER, port, 20_000) as again:
         server.listen()
-        with Session(setup_of(f"daq.nd://127.0.0.1:{port}"), tmp_path) as session:
-            recorder = session.record(tmp_path / "run.h5")
-            recorder.ready()
-            session.start()
+        with recording_of(port, tmp_path / "run.h5") as (_, recorder):
             follow(recorder, lambda progress: progress.blocks > 3)
             server.kill()
             again.listen()
@@ -128,10 +138,7 @@ def test_library_that_crashes_is_started_again_and_the_gap_has_its_exact_length(
     port, file = free_port(), tmp_path / "run.h5"
     with Server(SERVER, port, 25_000) as server:
         server.listen()
-        with Session(setup_of(f"daq.nd://127.0.0.1:{port}"), tmp_path) as session:
-            recorder = session.record(file)
-            recorder.ready()
-            session.start()
+        with recording_of(port, file) as (session, recorder):
             before = follow(recorder, lambda progress: progress.seconds > 1.5)
             library = library_of(session)
             os.kill(library, how)
@@ -142,11 +149,9 @@ def test_library_that_crashes_is_started_again_and_the_gap_has_its_exact_length(
     assert second != library
     assert progress.reason == "enough"
     ticks = checked_ticks(file, server)
-    # on a busy machine the signals may be read anew once more, after the first samples: another gap, as exact
-    gap, *more = contents(file).gaps
-    missing = gap["samples"] + sum(other["samples"] for other in more)
-    assert missing == progress.lost == ticks[-1] + 1 - ticks[0] - len(ticks)
-    assert f"the library of the device crashed ({how.name}); it was started again".encode() in gap["text"]
+    assert f"the library of the device crashed ({how.name}); it was started again".encode() in checked_gaps(
+        file, progress, ticks
+    )
 
 
 @installed
@@ -154,10 +159,7 @@ def test_library_that_crashes_while_the_device_is_away_waits_for_it_and_knows_it
     port = free_port()
     with Server(SERVER, port, 25_000) as server, Server(SERVER, port, 20_000) as again:
         server.listen()
-        with Session(setup_of(f"daq.nd://127.0.0.1:{port}"), tmp_path) as session:
-            recorder = session.record(tmp_path / "run.h5")
-            recorder.ready()
-            session.start()
+        with recording_of(port, tmp_path / "run.h5") as (session, recorder):
             follow(recorder, lambda progress: progress.blocks > 3)
             server.kill()
             library = library_of(session)
@@ -173,10 +175,7 @@ def test_library_that_crashes_again_and_again_ends_the_record_and_says_so(tmp_pa
     port, library = free_port(), 0
     with Server(SERVER, port, 25_000) as server:
         server.listen()
-        with Session(setup_of(f"daq.nd://127.0.0.1:{port}"), tmp_path) as session:
-            recorder = session.record(tmp_path / "run.h5")
-            recorder.ready()
-            session.start()
+        with recording_of(port, tmp_path / "run.h5") as (session, recorder):
             follow(recorder, lambda progress: progress.blocks > 3)
             server.kill()
             for _ in range(3):
@@ -205,10 +204,7 @@ def test_record_across_a_restart_gives_info_and_force(tmp_path) -> None:
     rigs = [Server(RIG, port, tmp_path / "rig.toml") for _ in range(2)]
     with rigs[0] as server, rigs[1] as again:
         server.listen()
-        with Session(setup_of(f"daq.nd://127.0.0.1:{port}", channels=("AF",)), tmp_path) as session:
-            recorder = session.record(file)
-            recorder.ready()
-            session.start()
+        with recording_of(port, file, channels=("AF",)) as (_, recorder):
             follow(recorder, lambda progress: progress.samples > 600)
             server.kill()
             again.listen()
