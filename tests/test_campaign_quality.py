@@ -81,6 +81,28 @@ def test_repeats_that_scatter_otherwise_than_stated_are_flagged(rng):
     assert "larger than it need be" in narrow["scatter"].text
 
 
+@pytest.mark.parametrize("shared", [0.0, 0.9, 1.0])
+def test_all_results_together_lie_within_their_limits_as_often_as_said(rng, shared):
+    """Lift and drag of 24 runs at three angles, whose errors are partly the same."""
+    runs, count = 24, 400
+    row = {"status": "reduced", "verdict": "fit for use", "setup": 0, "balance_file": "", "dynamics_file": ""}
+    row |= {"zero_from": None, "u_run_CL": 0.01, "u_zero_CL": 0.0, "u_run_CD": 0.02, "u_zero_CD": 0.0}
+    inside = 0
+    for _ in range(count):
+        lift, own = rng.normal(0, 0.01, (2, runs))
+        drag = -2 * (shared * lift + np.sqrt(1 - shared**2) * own)
+        given = [
+            row | {"run_name": f"{place}", "place": place, "alpha_deg": place % 3, "CL": one, "CD": other}
+            for place, (one, other) in enumerate(zip(lift, drag, strict=True))
+        ]
+        together = quality_of(given, Repeats()).pooled["all"]
+        low, high = together.limits
+        inside += low < together.chi_square < high
+    # 95 %, to what chance does and to 1 % for a sum that is only nearly a chi-square; with 42 degrees of freedom it is
+    # 84 % where all is shared
+    assert inside / count == pytest.approx(0.95, abs=0.01 + 4 * np.sqrt(0.05 * 0.95 / count))
+
+
 def test_runs_set_aside_are_named_and_take_no_part(rng):
     given = rows(rng)
     given[0] = {**given[0], "status": "set aside", "reason": "is empty"}

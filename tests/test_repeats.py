@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from aerobalance.uncertainty.repeats import Pooled, Scatter, pooled, trend
+from aerobalance.uncertainty.repeats import Pooled, Scatter, pooled, pooled_results, trend
 
 
 def test_scatter_of_three():
@@ -41,6 +41,20 @@ def test_groups_that_differ_in_what_is_stated_are_judged_as_they_count(rng):
     # 95 % to what a sum of squares of two sizes differs from a chi-square by, which is 1 %; with the freedom of all
     # groups it was 88 %
     assert inside == pytest.approx(0.95, abs=0.01 + 4 * np.sqrt(0.05 * 0.95 / count))
+
+
+def test_results_of_the_same_repeats_count_by_what_they_do_not_share():
+    # three results of 10 degrees of freedom: as many as 30 where nothing is shared, as 10 where all is; two of three
+    # that share all: variance 2 (4 x 10 + 10) of a sum of 30, which has 900 / 50 degrees of freedom
+    one, other = Pooled(1.3, 10), Pooled(0.7, 10)
+    for correlation, freedom in (
+        (np.eye(3), 30),
+        (np.ones((3, 3)), 10),
+        ([[1, 1, 0], [1, 1, 0], [0, 0, 1]], 18),
+        ([[1, -1, 0], [-1, 1, 0], [0, 0, 1]], 18),
+    ):
+        found = pooled_results([one, one, other], correlation)
+        assert (found.chi_square, found.freedom) == pytest.approx((1.1, freedom))
 
 
 def test_a_trend_is_found_with_its_uncertainty(rng):

@@ -103,6 +103,25 @@ def pooled(groups: Sequence[Scatter]) -> Pooled | None:
     return Pooled(sum(one.freedom * one.deviation**2 for one in groups) / expected, freedom)
 
 
+def pooled_results(results: Sequence[Pooled], correlation: ArrayLike) -> Pooled:
+    """Return the reduced chi-square of several results of the same repeats [1].
+
+    Parameters
+    ----------
+    results
+        That of each result.
+    correlation
+        Correlation coefficients of their deviations, shape (n, n): results that scatter together are no further
+        evidence, so the variance of the sum of their chi-squares, of f degrees of freedom each, is
+        2 sum(r_ij^2 sqrt(f_i f_j)).
+    """
+    freedom = np.array([one.freedom for one in results])
+    total = float(freedom.sum())
+    root = np.sqrt(freedom)
+    chi_square = float(freedom @ [one.chi_square for one in results]) / total
+    return Pooled(chi_square, total**2 / float(root @ np.square(correlation) @ root))
+
+
 @dataclass(frozen=True, slots=True)
 class Trend:
     """Weighted mean of a quantity and its drift along a test.

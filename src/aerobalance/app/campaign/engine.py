@@ -58,7 +58,7 @@ class Engine:
     scheduler
         Address of a Dask scheduler; None for processes of this machine.
     workers
-        Processes of this machine; 0 for this process itself, None for one a processor where there are enough runs.
+        Processes of this machine; 0 for this process itself, None for one per processor where there are enough runs.
     patience
         How long a scheduler that is gone is waited for [s].
     told

@@ -28,7 +28,7 @@ Workers = Annotated[
     int | None,
     typer.Option(
         "--workers",
-        help="Processes on this machine, 0 for the command itself; if left out 0 up to 8 runs, else one a processor.",
+        help="Processes on this machine, 0 for the command itself; left out: 0 up to 8 runs, else one per processor.",
         min=0,
     ),
 ]

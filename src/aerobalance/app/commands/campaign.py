@@ -128,7 +128,7 @@ def run_campaign(
     scheduler
         Address of a Dask scheduler; processes of this machine if left out.
     workers
-        How many of these; 0 for this process alone, None for one a processor where there are more than eight runs.
+        How many of these; 0 for this process alone, None for one per processor where there are more than eight runs.
     replace
         Whether the folder may hold other files already.
 
