@@ -119,7 +119,12 @@ def _left_open(force: ComponentForce, possible: Spoken, own: ModalModel, *, inte
 
 
 def _not_linear(record: SingleRecord, force: ComponentForce) -> tuple[NotLinear, Array] | None:
-    """What a record shows that is not linear, and the error of the force by it, (n,) [N]; None where it is small."""
+    """What a record shows that is not linear, and the error of the force by it, (n,) [N]; None where it is small.
+
+    A step looks like a spring that is not linear, so a force for which no steps were looked for tells none.
+    """
+    if force.learned is None:
+        return None
     seen = unbroken(record, force.steps, force.hum)
     if seen is None:
         return None
