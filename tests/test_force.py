@@ -120,6 +120,12 @@ def test_smooth_load_through_resonance_nears_the_wiener_bound(mass, rng):
     assert not estimate.assumptions
 
 
+def test_a_load_that_ends_beside_the_resonance_is_no_further_mode():
+    """The fall at 120 Hz, beside a resonance at 93.8 Hz, once looked like a heavily damped mode between them."""
+    recording, _, _ = shaken(np.random.default_rng(2_641_363_972), 89.0)
+    assert estimate_force(recording, Dynamics("AF", 89.0, T128.stiffness, T128.damping)).doubts == ()
+
+
 def quiet(method: str = "smoother", *, noise: float | None = None) -> tuple[ComponentForce, np.ndarray]:
     force = smooth_force(round(4 * RATE) * FINE)
     settings = {} if noise is None else {"noise": noise}

@@ -223,8 +223,22 @@ def _edge(seen: Averaged, band: NDArray[np.intp], dynamics: ModalModel, mode: Mo
         return np.asarray(_power(dynamics, frequency) * np.exp(point[1] / (1 + np.exp(-away))))
 
     scale = np.array([2 * seen.resolution, 1.0])
-    starts = (np.array([mode.natural_frequency, drop]) for drop in SETTINGS.drops)
+    starts = [np.array([mode.natural_frequency, drop]) for drop in SETTINGS.drops]
+    starts += _steepest(seen, band, dynamics)
     return max(_fit(seen, band, ending, start=start, scale=scale).twice_log_likelihood for start in starts)
+
+
+def _steepest(seen: Averaged, band: NDArray[np.intp], dynamics: ModalModel) -> list[Array]:
+    """Frequencies [Hz] at which the load's spectrum falls and rises most, and the changes of its logarithm there."""
+    level = np.log(np.maximum(seen.power[band] / _power(dynamics, seen.frequency[band]), 1e-300))
+    total = np.concatenate([[0.0], np.cumsum(level)])
+    means = (total[SETTINGS.reach :] - total[: -SETTINGS.reach]) / SETTINGS.reach
+    change = means[SETTINGS.reach :] - means[: -SETTINGS.reach]  # between neighbours of so many ordinates
+    if not change.size:
+        return []
+    places = (int(np.argmin(change)), int(np.argmax(change)))
+    between = seen.frequency[band] - seen.resolution / 2
+    return [np.array([between[place + SETTINGS.reach], change[place]]) for place in places]
 
 
 def _power(dynamics: ModalModel, frequency: Array) -> Array:
