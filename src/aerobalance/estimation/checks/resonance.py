@@ -188,6 +188,10 @@ def spoken_for(
         ]
         if with_steps[0] > max(*with_steps[1:], evidence.of(clear.dynamics)) + SETTINGS.by_steps:
             clear = None
+    elif clear is not None and clear.kind != "no resonance" and beside_steps is not None:
+        gain = _gain_beside(evidence, dynamics, clear.dynamics, beside_steps) - _price(clear.kind, evidence)
+        if clear.probability == 1 and gain < SETTINGS.decisive:
+            clear = None
     if near is not None and (clear is None or clear.probability < 1):
         clear = _beside(evidence, dynamics, near, own=own, confirmed=confirmed, beside_steps=beside_steps) or clear
     return clear
@@ -231,17 +235,14 @@ def _beside(
 ) -> Spoken | None:
     """The dynamics with a resonance beside the expected one, and how probable they are; None where they are not.
 
-    Nothing is paid for their two numbers: a resonance is looked for where one is known to be. A free oscillation with
-    which the record begins tells of it by its course alone: decaying, it has no spectrum of a steady one, and under
-    the window it looks hardly damped.
+    Nothing is paid for their two numbers: a resonance is looked for where one is known to be.
     """
     if evidence.of(near) - own < SETTINGS.worth_a_look:
         return None
     other = _best_near(evidence, "natural frequency", dynamics, near)
     gain = evidence.of(other) - own
     if gain >= SETTINGS.open_from and beside_steps is not None:
-        without = [_evidence_beside(evidence, beside_steps(one, ()), one, ()) for one in (dynamics, other)]
-        gain = min(gain, without[1] - without[0])
+        gain = min(gain, _gain_beside(evidence, dynamics, other, beside_steps))
     if gain < SETTINGS.open_from:
         return None
     spoken = _named(Spoken("natural frequency", other, gain), evidence, dynamics, confirmed=confirmed)
@@ -266,6 +267,21 @@ def _evidence_beside(evidence: Evidence, left: Array, dynamics: Dynamics, steps:
     numbers = sum(3 if step.duration > 0 else 2 for step in steps)
     price = 0.5 * numbers * float(np.log(left.size / 2))
     return replace(evidence, values=left - left.mean(), _known={}, _density=None).of(dynamics) - price
+
+
+def _gain_beside(
+    evidence: Evidence,
+    dynamics: Dynamics,
+    other: Dynamics,
+    beside_steps: Callable[[Dynamics, Sequence[Step]], Array],
+) -> float:
+    """Gain of other dynamics beside a free oscillation of either with which the record begins.
+
+    That tells of a resonance by its course alone: decaying, it has no spectrum of a steady one, and under the window
+    it looks hardly damped.
+    """
+    own, others = (_evidence_beside(evidence, beside_steps(one, ()), one, ()) for one in (dynamics, other))
+    return others - own
 
 
 def _named(spoken: Spoken, evidence: Evidence, dynamics: Dynamics, *, confirmed: float) -> Spoken | None:
