@@ -322,6 +322,15 @@ def test_extrema_in_the_noise_tell_nothing(rng):
         extrema_fit(recording, fit)
 
 
+@pytest.mark.parametrize("draw", [12, 75, 128])
+def test_a_few_periods_that_seem_to_grow_lead_nowhere_else(draw):
+    """Releases whose first eight periods, noise of half their height being in them, do not decay by chance."""
+    fit = identify_decay(noisy(np.random.default_rng([9, draw]), release(), HEIGHT / 2), mass=T128.mass)
+    assert fit.doubts == ()
+    for name in ("stiffness", "damping"):
+        assert abs(getattr(fit.dynamics, name) - getattr(T128, name)) < 5 * fit.dynamics.uncertainty(name)
+
+
 @pytest.mark.parametrize("moving", [True, False])
 def test_a_ground_end_that_moves_is_named(moving, rng):
     """0.3 m/s^2 of amplitude are 0.21 m/s^2 rms and a load of 38 N, of a ringing of 1020 N: a fiftieth counts."""

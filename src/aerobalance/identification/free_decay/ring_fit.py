@@ -106,6 +106,8 @@ def _approach(time: Array, values: Array, look: Look) -> Ring:
             shape: Shape = "release" if look.shape == "release" else "free"
             part = (time[near], values[near])
             begun = _search(*(part if last else _coarse(*part, begun)), shape, start=begun, lines=())
+            if begun.decay <= 0 and not last:  # by chance, in a few periods that are hardly more than noise
+                begun = replace(begun, decay=look.decay, frequency=look.frequency, start=look.start)
         if last:
             break
         reach *= 3
