@@ -38,7 +38,9 @@ def test_it_is_taken_to_go_on_below_the_load_and_that_is_told():
     for force, one, effect in told:
         assert force.verdict is not Verdict.FIT
         assert force["AF"].learned is not None
-        assert isinstance(force["AF"].learned.color, ColoredNoise)
+        # where the record leaves it open, only the uncertainty counts it, by its probability
+        (doubt,) = (one for one in force.doubts if one.kind == "colored noise")
+        assert isinstance(force["AF"].learned.color, ColoredNoise) or "may rise" in doubt.text
         # without it the error is 0.31 N; its law goes on below 1 Hz, where that of these records ends, and its
         # density there is known to a factor of two
         of_it = (one["error"] ** 2 - 0.31**2) ** 0.5

@@ -259,7 +259,9 @@ def test_short_records_at_rest_are_a_point_each(rng):
         records.append(Recording.from_columns(np.arange(12) / 10, columns, name=f"{angle:.2f}"))
     found = weigh(records)
     assert found.masses["AF"].degrees_of_freedom == SWEEP.size - 2
-    assert abs(found.mass - 0.68) < 6 * found.u_mass < 1e-3
+    assert abs(found.mass - 0.68) < 6 * found.u_mass
+    # 6.4e-5 kg, or 2.2e-4 if the readings of a record count as one; of five degrees of freedom up to 2.7 times as much
+    assert found.u_mass < 6e-4
     moving = records[0].channel("pitch").values + np.linspace(0, 0.1, 12)
     with pytest.raises(FitError, match="pitch is nowhere steady with AF recorded"):
         weigh(replace(records[0], channels={"AF": records[0].channel("AF"), "pitch": Channel("pitch", moving, "rad")}))
