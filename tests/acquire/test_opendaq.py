@@ -7,11 +7,13 @@ import time
 import warnings
 from contextlib import contextmanager
 from fractions import Fraction
+from functools import partial
 from importlib.util import find_spec
 
 import numpy as np
 import pytest
 
+from aerobalance.acquisition import library_process
 from aerobalance.acquisition.library_process import LibraryProcess
 from aerobalance.acquisition.opendaq import DomainClock, OpendaqSource, origin_of
 from aerobalance.acquisition.session import Session
@@ -79,6 +81,16 @@ def checked_gaps(file, progress, ticks):
     missing = gap["samples"] + sum(other["samples"] for other in more)
     assert missing == progress.lost == ticks[-1] + 1 - ticks[0] - len(ticks)
     return gap["text"]
+
+
+def take(source, wanted):
+    """The first block that is wanted."""
+    limit = time.monotonic() + 120
+    while True:
+        block = source.read(0.1)
+        if block is not None and wanted(block):
+            return block
+        assert time.monotonic() < limit
 
 
 def ended(recorder):
@@ -152,6 +164,25 @@ def test_library_that_crashes_is_started_again_and_the_gap_has_its_exact_length(
     assert f"the library of the device crashed ({how.name}); it was started again".encode() in checked_gaps(
         file, progress, ticks
     )
+
+
+@installed
+def test_library_that_hangs_is_started_again_and_the_gap_has_its_exact_length(monkeypatch) -> None:
+    monkeypatch.setattr(library_process, "SILENT", 2.0)
+    port = free_port()
+    with Server(SERVER, port, 25_000) as server:
+        server.listen()
+        source = LibraryProcess(partial(OpendaqSource, f"daq.nd://127.0.0.1:{port}"))
+        try:
+            source.start()
+            before = take(source, lambda block: block.samples.size)
+            os.kill(source.process_id, signal.SIGSTOP)
+            after = take(source, lambda block: block.remark)
+        finally:
+            source.stop()
+    assert after.remark == "the library of the device did not answer for 2 s; it was started again"
+    # the device counts its samples itself; what was on its way when the library hung has come
+    assert after.samples[0, 0] - before.samples[0, 0] == after.tick - before.tick > 2 * 25_000
 
 
 @installed

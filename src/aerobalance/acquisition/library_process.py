@@ -1,4 +1,4 @@
-"""A device whose library runs in a process of its own, and is started again there where it crashes.
+"""A device whose library runs in a process of its own, and is started again there where it crashes or hangs.
 
 Libraries of devices are compiled, and have threads of their own: an error in one of these ends its process, whatever
 the program does (openDAQ 3.40 where a device is removed while its connection is being mended). In a process of its own
@@ -34,6 +34,9 @@ CRASHES: Final = 3
 CRASHES_WITHIN: Final = 30.0
 """Time within which they are counted [s]."""
 
+SILENT: Final = 30.0
+"""Time without a sign of life from which on the library hangs [s]: longer than an attempt to connect takes."""
+
 _LEAVING: Final = 0.5
 _TICK: Final = 0.1
 _START: Final = b"start\n"
@@ -55,7 +58,11 @@ class _Given(NamedTuple):
     memory: bytes
 
 
-_Said = _Opened | _Given | Exception | None
+class _Alive(NamedTuple):
+    """That the library has no samples yet."""
+
+
+_Said = _Opened | _Given | _Alive | Exception | None
 """What the process of the library says: None where it is gone without a word."""
 
 
@@ -97,9 +104,14 @@ class LibraryProcess(Device):
             raise answer if isinstance(answer, Exception) else crashed
         self.channels, self.rate, self.description = answer
 
+    @property
+    def process_id(self) -> int:
+        """Number of the process of the library."""
+        return self._child.number
+
     def start(self) -> None:
         """Begin to read; a device that refuses ends the next reading."""
-        self._started = True
+        self._started, self._heard = True, time.monotonic()
         self._child.start()
 
     def stop(self) -> None:
@@ -114,7 +126,11 @@ class LibraryProcess(Device):
         try:
             said = self._child.take(timeout)
         except queue.Empty:
+            if self._started and time.monotonic() - self._heard > SILENT:
+                self._child.end()
+                self._again(f"did not answer for {SILENT:g} s")
             return None
+        self._heard = time.monotonic()
         match said:
             case _Given(block, memory):
                 self._memory = memory
@@ -126,7 +142,7 @@ class LibraryProcess(Device):
                 raise said
             case None:
                 self._crashed(self._child.end())
-        return None  # or a library that was started again has opened the device
+        return None  # it is alive, or one that was started again has opened the device
 
     def _crashed(self, how: str) -> None:
         """Start the library again, unless it has crashed too often."""
@@ -138,8 +154,13 @@ class LibraryProcess(Device):
                 f"the library of the device crashed {CRASHES} times without a sample between, at last with {how}; "
                 "start anew once the device answers"
             )
-        self._note(f"the library of the device crashed ({how}); it was started again")
+        self._again(f"crashed ({how})")
+
+    def _again(self, what: str) -> None:
+        """Start the library again, and say so with the next block, once."""
+        self._note(f"the library of the device {what}; it was started again")
         self._child = _Child(self._make, self._memory)
+        self._heard = time.monotonic()
         if self._started:
             self._child.start()
 
@@ -152,6 +173,11 @@ class _Child:
         self._said: queue.SimpleQueue[_Said] = queue.SimpleQueue()
         threading.Thread(target=self._hear, daemon=True).start()
         self._tell(pickle.dumps((make, memory)))
+
+    @property
+    def number(self) -> int:
+        """Number of the process."""
+        return self._process.pid
 
     def take(self, timeout: float | None) -> _Said:
         """Return what it says next; None where it is gone without a word.
@@ -235,7 +261,9 @@ def _run(orders: BinaryIO, answers: BinaryIO) -> None:
             source.start()
         while not ended.is_set():
             block = source.read(_TICK)
-            if block is not None:
+            if block is None:
+                tell(_Alive())
+            else:
                 tell(_Given(block.to_bytes(), pickle.dumps(source.memory)))
     except BrokenPipeError:  # the source is gone
         pass
