@@ -122,12 +122,17 @@ def test_a_tap_at_the_very_end_is_refused(rng):
         _one(late.record(1.0, rng))
 
 
-@pytest.mark.parametrize(("instant", "limit"), [(0.0005, np.inf), (0.3, 300.0)], ids=["no reading before it", "limit"])
-def test_where_no_force_can_be_used_the_ringing_tells_the_dynamics(instant, limit, rng):
+@pytest.mark.parametrize(
+    ("instant", "limit", "kind"),
+    [(0.0005, np.inf, "no pretrigger"), (0.3, 300.0, "clipped force")],
+    ids=["no reading before it", "limit"],
+)
+def test_where_no_force_can_be_used_the_ringing_tells_the_dynamics_and_that_is_told(instant, limit, kind, rng):
     hammer = Hammer(noise=1.0, limit=limit)
     one = Tapping(ONE, np.array([1.0]), (Blow(instant, 2000.0, 0.004),), hammer, np.array([2.0]), rate=5000.0)
     found = _one(one.record(1.5, rng))
     assert [tap.used for tap in found.taps.taps] == ["ringing"]
+    assert kind in [doubt.kind for doubt in found.doubts]
     assert found.taps.gain is None
     assert np.max(np.abs(_z(found))) < 5
 

@@ -39,6 +39,7 @@ KINDS: Final[Mapping[str, str]] = {
     "record cut": "a part of the record does not go with the ringing and is left out",
     "moving ground": "the ground end moves while the balance rings down",
     "double hit": "the hammer touched the model twice in one blow",
+    "no pretrigger": "a tap has no readings before it, so that its force cannot be used",
     "clipped force": "the force of a tap rests on a limit, or is not read",
     "force droop": "the channel of a measured force passes no slow changes",
     "force gain": "the balance shows another size of a measured force than its channel",

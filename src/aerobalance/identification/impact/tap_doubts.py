@@ -67,6 +67,11 @@ def left_out(records: Sequence[TapRecord], component: str) -> list[Doubt]:
             "clipped force",
         ),
         "gap": ("readings of the force are missing; its ringing alone is used", "", "clipped force"),
+        "no pretrigger": (
+            "no readings before it tell how the balance still moved; its ringing alone is used",
+            "begin to record 0.25 s before the tap",
+            "no pretrigger",
+        ),
     }
     for fault, (text, advice, kind) in texts.items():
         names = [
