@@ -36,6 +36,9 @@ MATTERS: Final = 0.3
 MATTERS_WITH_STEPS: Final = 1.0
 """The same beside steps, of which a little is left that goes with the ringing."""
 
+MOVED: Final = 0.1
+"""Relative change of the natural frequency from which on it is another balance, and no spring that is not linear."""
+
 LEFT_OPEN: Final = "dynamics that the record leaves open"
 """Name of what other dynamics may do to a force that the record neither shows nor rules out."""
 
@@ -84,7 +87,8 @@ def checked(force: Force) -> Force:
                 misfit = replace(misfit, silent=False)  # noise does not ring
             found, interval = misfit.doubts(own), one.interval
             bent, error = _not_linear(one, force[name]) or (None, np.zeros(0))
-            if bent is not None and bent.of_spring and bent.probability == 1:
+            moved = misfit.frequency is not None and abs(misfit.frequency[0]) > MOVED
+            if bent is not None and bent.of_spring and bent.probability == 1 and not moved:
                 found = _of_a_spring(found, bent, error, force=force[name].values, own=own, interval=interval)
             parts[name] = _raised(parts[name], found, own, interval=interval)
             if misfit.possible is not None:
