@@ -146,3 +146,27 @@ def test_no_excitation_to_divide_by():
 def test_short_records(samples):
     found = gauge_outputs(recording(excitation=np.full(samples, 4.0), rAF=np.full(samples, 0.004)))
     np.testing.assert_allclose(found.channel("rAF").values, 1.0, rtol=1e-14)
+
+
+def test_bridges_that_show_nothing_have_no_say_in_how_the_supply_is_smoothed(rng):
+    """One that is dead, and one that fails after its first readings, beside one that has the tone of the supply."""
+    samples = 8192
+    tone = 0.01 * np.sin(2 * np.pi * 60 * np.arange(samples) / RATE)
+    reading = 10.0 + tone + rng.normal(size=samples) * 1e-3
+    failed = np.where(np.arange(samples) < 20, 2e-3 * (10.0 + tone), np.nan)
+    volts = 2e-3 * (10.0 + tone)
+    alone = gauge_outputs(recording(excitation=reading, rN1=volts)).channel("rN1")
+    found = gauge_outputs(recording(excitation=reading, rN1=volts, rAF=np.zeros(samples), rS1=failed))
+    np.testing.assert_array_equal(found.channel("rN1").values, alone.values)
+    assert not found.channel("rAF").values.any()
+    assert np.flatnonzero(found.channel("rS1").missing)[0] == 20
+
+
+def test_a_supply_that_is_hardly_read_is_followed_where_it_is(rng):
+    """Every fourth block of readings is there, so that no means of longer blocks have neighbours."""
+    samples = 33 * 32  # it ends with a block that is read
+    reading = 10.0 + rng.normal(size=samples) * 1e-4
+    reading[np.arange(samples) // 32 % 4 > 0] = np.nan
+    found = gauge_outputs(recording(excitation=reading, rAF=np.full(samples, 0.02))).channel("rAF").values
+    # between readings the line through the means beside them: no more than the noise of a reading, six times that
+    np.testing.assert_allclose(found, 2.0, rtol=6e-5)
