@@ -121,3 +121,13 @@ def test_wrong_envelopes() -> None:
         Station("N1", 0.0, {"NF": 1.0})
     with pytest.raises(ValueError, match="share of one component"):
         Station("N1", 1.0, {"NF": 0.0})
+
+
+def test_what_has_no_limit_and_no_share_does_not_count(rng) -> None:
+    """Not even where it is not measured."""
+    loads = rng.normal(size=(50, 4)) * (40, 60, 100, 8)
+    station, free = Station("N1", 60.0, {"NF": 0.5, "PM": 4.0}), Station("N1", 60.0, {"NF": 0.5, "PM": 4.0, "RM": 0.0})
+    expected = LoadEnvelope("rhombus", LIMITS, (station,)).utilisation(loads, NAMES)
+    found = LoadEnvelope("rhombus", {"YM": (-np.inf, np.inf), **LIMITS}, (free,))
+    assert found.components == ("NF", "PM", "AF")
+    np.testing.assert_array_equal(found.utilisation(loads, NAMES), expected)
