@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from aerobalance.balance.load_checks import ROWS_AT_ONCE, _along_rows
+from aerobalance.balance.load_checks import ROWS_AT_ONCE, _along_rows, beyond_range
+from aerobalance.simulation.calibration_stand import CAPACITIES, random_balance
 
 
 @pytest.mark.parametrize("rows", [1, 2 * ROWS_AT_ONCE - 1, 2 * ROWS_AT_ONCE, 5 * ROWS_AT_ONCE + 3])
@@ -17,3 +18,12 @@ def test_least_and_largest_of_all_rows_are_found_in_blocks(rows, rng):
             marked[place] = sign * 100.0
             assert np.array_equal(_along_rows(ufunc, marked), np.full(6, sign * 100.0))
         assert np.array_equal(_along_rows(ufunc, table), ufunc.reduce(table), equal_nan=True)
+
+
+def test_what_lies_beyond_the_range_is_counted_by_component(seed):
+    balance = random_balance(seed)
+    assert beyond_range(balance, np.zeros((0, 6))) == {}  # a stream may hand over no sample
+    assert beyond_range(balance, 0.9 * np.tile(CAPACITIES, (5, 1))) == {}
+    loads = np.zeros((5, 6))
+    loads[1:3, 2] = -1.2 * CAPACITIES[2]
+    assert beyond_range(balance, loads) == {balance.components[2]: 2}

@@ -12,6 +12,7 @@ from aerobalance.balance.calibration.fit import calibrate
 from aerobalance.balance.loads import Loads, loads_of_outputs, static_uncertainty, wind_off_loads
 from aerobalance.balance.matrix import BalanceMatrix, TemperatureEffect
 from aerobalance.balance.reduction import reduce_outputs
+from aerobalance.balance.terms import KINDS
 from aerobalance.balance.weighing import LoadPoints, Weighing, fit_weight
 from aerobalance.balance.zeros import GaugeZero, Zero, gauge_table, gauge_zero
 from aerobalance.recording.channel import Array, Channel
@@ -400,3 +401,62 @@ def test_averaged_points_are_told_to_need_their_noise(seed: int, rng) -> None:
     # samples in time of the same size and length are not doubted
     slow = swinging(30, rng) + rng.normal(0, 1e-4, (30, 6)) * CAPACITIES
     loads_of_outputs(recorded(calibrated.outputs(slow)), calibrated, zero=NONE)
+
+
+def test_an_uncertain_gain_of_a_bridge_is_that_of_its_load(seed: int) -> None:
+    """Of linear bridges without interactions, a relative error of one output is the same of the load."""
+    plain = random_balance(seed, model="linear")
+    diagonal = replace(plain, coefficients=np.diag(np.diag(plain.linear)), natural_zero=None)
+    native = swinging(50, np.random.default_rng(seed))
+    run = recorded(diagonal.outputs(native))
+    known = loads_of_outputs(run, diagonal, zero=NONE, form="force")
+    gain = {name: replace(channel, relative_uncertainty=0.003) for name, channel in run.channels.items()}
+    found = loads_of_outputs(replace(run, channels=gain), diagonal, zero=NONE, form="force")
+    np.testing.assert_allclose(found.apart - known.apart, (0.003 * native) ** 2, rtol=1e-9, atol=1e-20)
+
+
+def test_one_wind_off_recording_serves_a_run_at_its_pitch(balance: BalanceMatrix, rng) -> None:
+    still = np.tile(0.1 * CAPACITIES, (400, 1))
+    pitch = np.full(400, np.radians(4.0))
+    outputs = balance.outputs(still) + rng.normal(0, NOISE, (400, 6))
+    off = recorded(outputs, extra={"pitch": ("rad", pitch)}, name="off")
+    run = recorded(balance.outputs(still), extra={"pitch": ("rad", pitch)})
+    tare, u = wind_off_loads(run, [off], balance, zero=NONE)
+    assert tare.shape == u.shape == (1, 6)
+    # u is the noise over the root of 400 readings, itself 2 to 5 % low (see above); five of it
+    assert (np.abs(tare[0] - in_direct(balance, still)[0]) < 5.5 * u[0]).all()
+    away = recorded(balance.outputs(still), extra={"pitch": ("rad", pitch + np.radians(3.0))}, name="away")
+    with pytest.raises(FitError, match="add wind-off recordings"):
+        wind_off_loads(away, [off], balance, zero=NONE)
+
+
+def bent(seed: int) -> BalanceMatrix:
+    """Outputs x - 0.4 x^2 of the load x over capacity, each bridge of its own load alone: 0.625 at most, at 1.25."""
+    straight = replace(random_balance(seed, model="quadratic"), natural_zero=None)
+    coefficients = np.zeros_like(straight.coefficients)
+    for place, term in enumerate(straight.terms):
+        if term.first == term.second:
+            coefficients[place, term.first] = {"{a}": 1.0, "{a}*{a}": -0.4}.get(KINDS[term.kind], 0.0)
+    return replace(straight, coefficients=coefficients)
+
+
+def test_samples_without_a_solution_are_told_and_missing(seed: int) -> None:
+    balance = bent(seed)
+    outputs = np.full((40, 6), 0.1) * balance.output_scale
+    outputs[[5, 17], 3] = 0.7 * balance.output_scale[3]
+    with pytest.warns(DataQualityWarning, match="2 of 40 samples have no loads that give their gauge outputs"):
+        found = loads_of_outputs(recorded(outputs), balance, zero=NONE, form="force")
+    assert np.flatnonzero(np.isnan(found.values).any(axis=1)).tolist() == [5, 17]
+    # the smaller root of 0.4 x^2 - x + 0.1 = 0
+    expected = (1 - np.sqrt(1 - 0.16)) / 0.8 * balance.load_scale
+    np.testing.assert_allclose(np.nanmean(found.values, axis=0), expected, rtol=1e-10)
+
+
+def test_interactions_that_nearly_keep_the_iteration_from_settling_are_told(seed: int) -> None:
+    """The plain iteration x' = y + 0.4 x^2 shrinks an error by 0.8 x: 0.76 at 0.95 of capacity, 0.4 at half of it."""
+    balance = bent(seed)
+    large, small = (recorded(balance.outputs(np.tile(part * balance.load_scale, (40, 1)))) for part in (0.95, 0.5))
+    with pytest.warns(DataQualityWarning, match=r"shrinks an error only by 0\.76 a step"):
+        found = loads_of_outputs(large, balance, zero=NONE, form="force")
+    assert found.contraction == pytest.approx(0.76)
+    assert loads_of_outputs(small, balance, zero=NONE, form="force").contraction == pytest.approx(0.4)
