@@ -211,3 +211,20 @@ def test_errors_are_given_for_all_recordings_or_none(rng) -> None:
     recordings = [recording(error.native, name) for error, name in zip(given, COMPONENTS, strict=True)]
     with pytest.raises(ValueError, match="each of 6 recordings"):
         quietly(recordings, errors=given[:1])
+
+
+@pytest.mark.parametrize("way", ["iterative", "non-iterative"])
+def test_slopes_of_loads_are_their_differences(way: str, rng) -> None:
+    matrix = calibrated(rng, size=1e-5, way=way)
+    outputs = matrix.outputs(0.4 * rng.uniform(0.5, 1, (20, 6)) * HALF_RANGE)
+    native = matrix.loads(outputs).loads
+    rows, names = np.array([3, 7, 12]), ("PM", "AF")
+    (part,) = MatrixErrors(matrix, COMPONENTS, np.eye(6), native).parts(rows, names)
+    change = 1e-5 * rng.normal(size=matrix.coefficients.shape)
+    more, less = (
+        replace(matrix, coefficients=matrix.coefficients + sign * change).loads(outputs).loads for sign in (1, -1)
+    )
+    told = np.einsum("mnc,mt,tc->mn", part.gain, part.terms, change)
+    places = [COMPONENTS.index(name) for name in names]
+    # third differences: the square of 1e-5 times some hundred terms; rounding of the loads is 1e-12 of them
+    np.testing.assert_allclose((more - less)[rows][:, places] / 2, told, rtol=1e-5, atol=1e-11 * HALF_RANGE.max())
