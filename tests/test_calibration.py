@@ -540,7 +540,50 @@ def test_curved_and_plain_bridges_are_not_taken_for_it(rng) -> None:
 
 def test_one_direction_tells_nothing_of_the_other(rng) -> None:
     schedule = single_loads(random_balance(seed_from(rng), model="linear"), rng, low=0)
-    assert not any(item.known or item.bidirectional for item in assess(calibrate(schedule, model="linear")).directions)
+    fit = calibrate(schedule, model="linear")
+    quality = assess(fit)
+    assert not any(item.known or item.bidirectional for item in quality.directions)
+    with (
+        pytest.warns(DataQualityWarning, match="cannot identify 78 terms"),
+        pytest.warns(DataQualityWarning, match="N1, N2, S1, S2, RM, AF loaded in one direction only"),
+    ):
+        warn_of_weaknesses(fit, quality)
+
+
+def test_loads_that_never_come_again_tell_no_repeatability(rng) -> None:
+    balance = random_balance(seed_from(rng), model="linear")
+    loads = rng.uniform(-1, 1, (60, 6)) * CAPACITIES
+    schedule = plain_schedule(loads, balance.outputs(loads) + rng.normal(0, NOISE, (60, 6)))
+    assert np.isnan(assess(calibrate(schedule, model="linear")).repeatability).all()
+
+
+@pytest.mark.parametrize("way", ["iterative", "non-iterative"])
+def test_confirmation_points_of_a_series_of_their_own_count_from_their_mean(way: str, rng) -> None:
+    """Where nothing is absolute, a change of the zero from series to series is no error of the matrix."""
+    schedule = single_loads(random_balance(seed_from(rng), model="linear"), rng)
+    own = schedule.series == 4
+    moved = schedule.outputs + np.where(own[:, None], rng.normal(0, 0.1, 6), 0.0)
+    found, shifted = (
+        calibrate(replace(schedule, outputs=outputs, confirmation=own), model="linear", way=way).residuals[own]
+        for outputs in (schedule.outputs, moved)
+    )
+    # rounding of 0.1 in 1 mV/V, through a matrix of a condition below ten
+    np.testing.assert_allclose(shifted / CAPACITIES, found / CAPACITIES, atol=1e-13)
+    np.testing.assert_allclose(found.mean(axis=0) / CAPACITIES, 0, atol=1e-13)
+    # a reading's noise is 0.08 % of capacity; six times that
+    assert np.abs(found / CAPACITIES).max() < 6 * 0.8e-3
+
+
+def test_a_single_series_is_not_blamed(rng) -> None:
+    balance = random_balance(seed_from(rng), model="linear")
+    loads = rng.uniform(-1, 1, (60, 6)) * CAPACITIES
+    outputs = balance.outputs(loads) + rng.normal(0, 0.1, (60, 6))
+    with pytest.raises(FitError, match="unfit for a matrix") as told:
+        calibrate(plain_schedule(loads, outputs), model="linear")
+    assert "of it in series" not in str(told.value)
+    two = plain_schedule(loads, outputs, series=np.arange(60) // 30)
+    with pytest.raises(FitError, match=r"% of it in series 'series [12]'"):
+        calibrate(two, model="linear")
 
 
 def test_outliers_hysteresis_and_repeats(rng) -> None:
