@@ -109,6 +109,8 @@ def test_a_weighing_that_contradicts_itself(rng):
     refused(lambda: replace(found, u_mass=-1.0), "mass must be positive and finite")
     refused(lambda: replace(found, values=found.values * np.nan), "values must be finite")
     refused(lambda: replace(found, assumed={"lean": 0.0}), "assumed must have a value for each")
+    assert found.left_out
+    refused(lambda: replace(found, left_out=dict.fromkeys(found.left_out, -1.0)), "scales of what was left out")
 
 
 def test_zeros_after_a_run_that_has_none_before_it():

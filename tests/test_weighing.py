@@ -267,3 +267,20 @@ def test_short_records_at_rest_are_a_point_each(rng):
         weigh(replace(records[0], channels={"AF": records[0].channel("AF"), "pitch": Channel("pitch", moving, "rad")}))
     with pytest.raises(FitError, match="has no balance loads; with gauge outputs give the balance matrix"):
         weigh(replace(records[0], channels={"pitch": records[0].channel("pitch")}))
+
+
+def test_stretches_without_loads_and_short_stops_are_no_points(rng):
+    """Four blocks, of 200 of the record, must stand still between the two beside a move."""
+    angles = np.radians([0, 5, 10, -5, -10])
+    pitch = np.concatenate([swept(rng, angles), np.full(300, 0.3), np.linspace(0.3, 0.5, 500), np.full(2000, 0.5)])
+    load = 100 * np.sin(pitch) + rng.normal(0, 0.5, pitch.size)
+    load[2500:4500] = np.nan  # all the while at 5 degrees
+    given = points_from_recordings([recording(pitch, load)], ["AF"])
+    # means of 1900 samples or more of the pitch noise, eight standard deviations
+    np.testing.assert_allclose(given.pitch, [*np.delete(angles, 1), 0.5], atol=8 * 1e-5 / np.sqrt(1900))
+
+
+def test_a_roll_that_was_never_read_is_no_attitude():
+    never = recording(np.zeros(1000), np.zeros(1000), np.full(1000, np.nan))
+    with pytest.raises(FitError, match="nowhere steady"):
+        points_from_recordings([never], ["AF"])

@@ -69,3 +69,27 @@ def test_the_error_of_a_mass_is_as_large_as_its_uncertainty(rng, components, rol
     low, high = (stats.chi2.ppf(p, balances) / balances for p in (1e-4, 1 - 1e-4))
     assert square < high
     assert square > low or (known_noise and len(rolls) > 1)
+
+
+def test_errors_of_the_matrix_count_from_the_load_that_the_zero_was_read_under(rng):
+    """None of them is left there, whether the weight or another load hung on the balance."""
+    truth = random_balance(rng).matrix
+    noise = NOISE * float(truth.output_scale.min())
+    schedule = CalibrationStand(truth, noise=noise).run(int(rng.integers(1 << 31))).schedule
+    matrix = calibrate(schedule, model="quadratic").matrix
+    held, nothing = 0.3 * matrix.load_scale, np.zeros(6)
+    outputs = np.tile(matrix.outputs(held[None]), (SAMPLES, 1))
+    channels = {f"r{name}": Channel(f"r{name}", outputs[:, i], "mV/V") for i, name in enumerate(COMPONENTS)}
+    pitch = Channel("pitch", np.zeros(SAMPLES), "rad")
+    run = Recording.from_columns(np.arange(SAMPLES) / 1000, channels | {"pitch": pitch}, name="held")
+    shared = []
+    for zero in (
+        GaugeZero(nothing, nothing, "zero", nothing, model_on=True, operating_point=held),
+        GaugeZero(nothing, nothing, "zero", nothing, model_on=False),
+    ):
+        felt = loads_of_outputs(run, matrix, zero=zero)
+        points = with_matrix_errors(points_from_recordings([felt.recording], COMPONENTS), [felt])
+        shared.append(np.sqrt(np.abs(np.einsum("ncnc->nc", points.shared)[0])) / matrix.load_scale)
+    # loads come back to 1e-12 of capacity, and the error goes with the load: 0.3 of capacity to 1e-11 of it
+    assert (shared[0] < 1e-9 * shared[1]).all()
+    assert (shared[1] > 0).all()
