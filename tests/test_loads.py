@@ -182,6 +182,23 @@ def test_weight_of_a_weighing_is_taken_off_where_it_is_known(balance: BalanceMat
         reduce_outputs(run, balance, zero=Zero(rest, model_on=True), tare=weighing)
 
 
+def test_a_weighing_of_none_of_the_components_is_refused(seed: int, rng) -> None:
+    """A force balance without the gauges' distances has no NF, along which the weight is known."""
+    plain = replace(random_balance(seed), natural_zero=None, geometry=None)
+    pitch = np.radians(np.arange(-30.0, 31, 6))
+    load = -50.0 * np.cos(pitch) + rng.normal(0, 0.01, pitch.size)
+    weighing = fit_weight(LoadPoints(("NF",), pitch, load[:, None], np.zeros_like(pitch), None))
+    run, rest = (
+        recorded(rng.normal(0, 1e-6, (800, 6)), extra={"pitch": ("rad", np.zeros(800))}, name=name)
+        for name in ("run", "zero")
+    )
+    with (
+        pytest.warns(DataQualityWarning, match="lacks the distances of the gauges"),
+        pytest.raises(FitError, match="the weighing has NF, and the balance none of them but N1, N2"),
+    ):
+        reduce_outputs(run, plain, zero=Zero(rest, model_on=False), tare=weighing)
+
+
 def test_loads_less_wind_off_loads_have_no_gravity_left(balance: BalanceMatrix, rng) -> None:
     extra = {"pitch": ("rad", np.full(800, 0.1)), "ground_acceleration": ("m/s^2", rng.normal(0, 0.01, 800))}
     run = recorded(rng.normal(0, NOISE, (800, 6)), extra=extra)
