@@ -9,6 +9,9 @@ import pytest
 from scipy.linalg import matrix_balance
 
 from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.decoupling import Fractions
+from aerobalance.dynamics.driven_modes import DrivenModes
+from aerobalance.dynamics.modal import Mode
 from aerobalance.recording.channel import Array
 from aerobalance.recording.resampling import EDGE, FINE, fractional_delay, upsample_compensated
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
@@ -178,3 +181,26 @@ def test_readings_are_brought_to_other_instants_up_to_the_ends(rng) -> None:
     moved = fractional_delay(np.sin(w * time + phase)[:, None], delay=-by, interval=interval)[:, 0]
     expected = np.sin(w * (time + by) + phase)
     np.testing.assert_allclose(moved, expected, rtol=0, atol=10 * (w * interval) ** 4 + 3e-6)
+
+
+@pytest.mark.parametrize("together", [1, 2, 7])
+def test_responses_do_not_depend_on_how_many_samples_come_at_once(together: int, rng) -> None:
+    modes = (Mode(60.0, 0.01, 1.0), Mode(170.0, 0.03, 1.0))
+    driving = rng.normal(size=(20, 2, 2)) * np.array([1.0, 1e-3])[:, None]
+    whole = DrivenModes(modes, interval=1e-3, delays=(-4e-3,)).whole(driving)
+    stream = DrivenModes(modes, interval=1e-3, delays=(-4e-3,))
+    parts = [stream.push(driving[first : first + together]) for first in range(0, 20, together)]
+    assert parts[0].shape == (0, 2)  # a response waits for samples after it
+    # sums of products in blocks of other lengths: rounding of some dozen of them
+    np.testing.assert_allclose(np.concatenate([*parts, stream.finish()]), whole, rtol=0, atol=1e-13 * np.ptp(whole))
+
+
+def test_nothing_drives_no_response() -> None:
+    assert DrivenModes((Mode(60.0, 0.01, 1.0),), interval=1e-3).finish().shape == (0, 1)
+
+
+def test_fractions_without_modes_are_their_direct_part(rng) -> None:
+    series, direct = rng.normal(size=(30, 3)), rng.normal(size=3)
+    none = np.zeros((0, 3))
+    found = Fractions(direct, (), none, none).through(series, interval=1e-3)
+    np.testing.assert_array_equal(found, series @ direct)
