@@ -343,6 +343,40 @@ def test_at_rest_is_zero_but_for_tones(rng):
     assert sum("beyond its noise" in text for text in motion.assumptions) == 2
 
 
+def test_tones_of_a_motion_at_rest_follow_the_channel_that_reads_them(rng):
+    """Its motion is linear in the channel: a change of the tone, and an error of gain, come through whole."""
+    clock = np.arange(4000) / RATE
+    hum = 0.5 * np.sin(2 * np.pi * 100 * clock)
+    noise = rng.normal(size=(2, clock.size))
+    channels = [
+        Channel("ground_acceleration", noise[0], "m/s^2", noise=1.0, relative_uncertainty=0.01),
+        Channel("ground_acceleration_y", noise[1] + hum, "m/s^2", noise=1.0, relative_uncertainty=0.01),
+    ]
+    rec = recording(*channels)
+    motion, changes = PlatformMotion.of(rec), MotionChanges.of(rec)
+    (gain,) = [item for item in motion.unknowns if item.source == "ground_acceleration_y"]
+    # the channel is all that reads its axis, so its gain is that of the motion
+    np.testing.assert_allclose(gain.slope, motion.acceleration, rtol=0, atol=1e-12)
+    assert not [item for item in motion.unknowns if item.source == "ground_acceleration"]  # at rest
+    by = 1e-3 * hum
+    for channel in channels:
+        other = dataclasses.replace(channel, values=channel.values + by)
+        again = PlatformMotion.of(dataclasses.replace(rec, channels={**rec.channels, channel.name: other}))
+        change = again.specific_force - motion.specific_force
+        # rounding of 0.5 m/s^2 in transforms
+        np.testing.assert_allclose(changes.specific_force(channel.name, by), change, rtol=0, atol=1e-14)
+        assert change.any() == (channel.name == "ground_acceleration_y")
+
+
+def test_swings_as_large_as_their_platform_are_left_in_and_said(rng):
+    """The rate of turn over the turn is the angle: of a radian and more, w x (w x r) is as much as what tells it."""
+    platform = Platform(rng, swing=3.0)
+    motion = PlatformMotion.of(platform.recording(*random_sensors(platform, rng, 10, dc=0)))
+    assert any("is left in their readings" in text for text in motion.assumptions)
+    left = next(item for item in motion.unknowns if item.source == "rate of turn")
+    assert left.uncertainty == 1.0  # all of it is in doubt
+
+
 def test_far_sensors_at_rest_do_not_spoil_the_others(rng):
     clock = np.arange(4000) / RATE
     shift = 5 * np.sin(2 * np.pi * 30 * clock)
