@@ -5,9 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from aerobalance.dynamics.independent import dynamics_of
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force import estimate_force
-from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.recording.frames import Frame, ResolvedLoads, angles_of_attitude, coefficients, wind_loads
+from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.mean_in_axes import Flow, ReferenceSizes, mean_in_axes
 from aerobalance.uncertainty.mean_loads import Errors, MeanLoads, mean_loads
 from helpers.axial_runs import run_of, spring
@@ -83,3 +87,20 @@ def test_the_mean_of_a_run_is_as_uncertain_as_said(rng):
     # t with 11 degrees of freedom has a variance of 11/9, and its square a standard deviation of 2.3
     assert np.mean(np.square(scores)) < 11 / 9 + 5 * 2.3 / np.sqrt(count)
     assert np.mean(np.square(scores)) > 0.2
+
+
+def test_means_that_an_angle_is_wrong_for_are_wrong_together(rng):
+    """By the weight m g (sin p, cos p) along AF and NF, a pitch off by u moves them by m g (cos p, -sin p) u."""
+    dynamics = {
+        name: Dynamics(name, mass, mass * 500.0**2, 2 * 0.02 * mass * 500.0, covariance=np.diag([part, 0, 0, 0]))
+        for name, mass, part in (("AF", 3.0, 1e-6), ("NF", 5.0, 4e-6))
+    }
+    count, pitch, u = 800, 0.3, 1e-3
+    loads = {name: Channel(name, 50.0 + rng.normal(0, 0.1, count), "N") for name in dynamics}
+    angle = Channel("pitch", np.full(count, pitch), "rad", zero_uncertainty=u)
+    run = Recording.from_columns(np.arange(count) / 1600.0, {**loads, "pitch": angle}, name="run")
+    force = estimate_force(run, dynamics_of(dynamics), method="paper")
+    found = mean_loads(force)
+    slopes = STANDARD_GRAVITY * np.array([3.0 * np.cos(pitch), 5.0 * np.sin(pitch)])
+    # the masses, uncertain by 1e-3 and 4e-4 of the weight, are wrong each for itself
+    assert abs(found.errors.common[0, 1]) == pytest.approx(u**2 * slopes[0] * slopes[1], rel=1e-6)
