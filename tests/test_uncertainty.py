@@ -8,7 +8,7 @@ import pytest
 
 from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.error_sources import Noise, Systematic
+from aerobalance.estimation.error_sources import Divided, Noise, Systematic
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.force_smoother import LinearSmoother, SmootherResult
 from aerobalance.estimation.independent_record import SingleRecord
@@ -396,6 +396,41 @@ def test_a_seed_gives_the_same_draws():
     one, same, other = (monte_carlo(force, draws=10, seed=seed)["AF"] for seed in (7, 7, 8))
     assert np.array_equal(one.deviation, same.deviation)
     assert not np.array_equal(one.deviation, other.deviation)
+
+
+def test_draws_of_a_direct_inverse_have_its_noise(rng):
+    """The comparison above in short."""
+    force = estimate_force(run(rng, count=400), T128, method="paper")
+    found = monte_carlo(force, draws=10, seed=1)["AF"]
+    noise = next(row for row in found.contributions if row.name == "all together")
+    # 10 % for the ends, and five times the scatter of 10 draws
+    assert abs(noise.ratio - 1) < 0.1 + 5 * noise.scatter
+
+
+def test_a_force_of_which_nothing_is_uncertain_has_nothing_to_improve():
+    exact = made(np.ones(100), Noise("noise", "AF", np.zeros(100), np.ones(1)))
+    assert advice(exact) == "no contribution to the uncertainty is known"
+
+
+def test_a_contribution_without_quantities_stays_nothing():
+    none = Systematic("missing readings", "load", (), np.zeros((50, 0)), np.zeros((0, 0)))
+    few = none.few
+    assert few.quantities == () and few.slopes.shape == (50, 0)
+    assert not few.deviation.any() and few.variance_of(np.ones(50)) == 0
+
+
+def test_a_contribution_on_a_slower_clock_is_a_straight_line_between_its_samples():
+    """Of a slope that is straight itself, the deviation on the record's clock is that line, held after the last."""
+    slope = np.linspace(1.0, 3.0, 11)
+    pieces = tuple(
+        (first, Systematic("gain", "AF", ("gain",), slope[first:last, None], np.array([[0.25]])))
+        for first, last in ((0, 5), (5, 11))
+    )
+    whole = Divided("gain", "AF", 42, pieces, every=4)
+    expected = 0.5 * np.minimum(1.0 + 0.05 * np.arange(42), 3.0)
+    np.testing.assert_allclose(whole.deviation, expected, rtol=1e-14)
+    with pytest.raises(ValueError, match="worked out in parts cannot be summed up again"):
+        component_budget(made(np.ones(42), whole))
 
 
 def test_too_few_draws_are_refused():
