@@ -360,3 +360,16 @@ def test_the_command_on_coupled_components(tmp_path: Path, capsys: pytest.Captur
     ):
         assert main([*arguments, *line]) == 2, line
         assert words in capsys.readouterr().err, line
+
+
+def test_components_that_do_not_oscillate_are_planned_up_to_half_the_rate():
+    """Where no component has another beside it, N = 1 + s d + s^2 a: of |N|^2 the mean is a closed form."""
+    w, ratio = 2 * np.pi * np.array([50.0, 80.0]), np.array([2.0, 3.0])
+    a, d = 1 / w**2, 2 * ratio / w
+    found = plan(CoupledDynamics(NAMES, np.diag(a), np.diag(d)), rate=RATE, noise=READINGS)
+    top = np.pi * RATE
+    expected = np.sqrt(1 + (d**2 - 2 * a) * top**2 / 3 + a**2 * top**4 / 5)
+    for name, gain in zip(NAMES, expected, strict=True):
+        (row,) = found[name].table
+        assert row.bandwidth == RATE / 2
+        assert row.noise_gain == pytest.approx(gain, rel=INTEGRATION)
