@@ -109,7 +109,7 @@ def ground_sensors(recording: Recording) -> tuple[GroundSensor, ...]:
     for channel in ground_channels(recording):
         kind = sensor_kind(channel.name)
         if kind is None:
-            continue
+            raise AssertionError
         axis, place = np.zeros(3), np.zeros(3)
         if kind == "acceleration":
             axis, place = _mounting(channel, recording)
