@@ -329,6 +329,20 @@ def test_noise_is_judged_from_the_first_readings(rng):
     assert set(live.health) == set(COMPONENTS)
 
 
+@pytest.mark.parametrize("count", [0, 1, 7, 8, 200])
+@pytest.mark.parametrize("ground", [False, True], ids=["alone", "with the ground"])
+def test_a_stream_that_ends_before_its_noise_is_judged_is_judged_by_what_there_is(ground, count, rng):
+    """As of one component, eight readings are the fewest that tell a noise and have a force."""
+    channels = ["NF", "PM", *(["ground_acceleration_z"] if ground else [])]
+    live = LiveForce(pair(), rate=2500.0, channels=channels, settings=LiveSettings(samples_a_period=np.inf))
+    readings = rng.normal(size=(count, len(channels))) * np.array([0.2, 0.01, 0.1][: len(channels)])
+    pushed, drained = live.push(readings), live.finish()
+    for name in live.components:
+        assert pushed[name].force.size == 0
+        assert drained[name].force.size == (count if count >= 8 else 0)
+        assert np.isfinite(drained[name].force).all()
+
+
 def test_sensors_of_the_ground_end_tell_its_motion(rng):
     motion, (pitch, roll) = rng.normal(size=(5, 6)), rng.uniform(-1, 1, (2, 5))
     places = rng.uniform(-0.5, 0.5, (7, 3))

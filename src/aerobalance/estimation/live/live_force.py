@@ -29,7 +29,12 @@ from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.independent import AnyDynamics, dynamics_of
 from aerobalance.estimation.live.alignment import Aligner
 from aerobalance.estimation.live.columns import Columns, judged_noise
-from aerobalance.estimation.live.component_smoother import ComponentSmoother, FinalSamples, SmootherSettings
+from aerobalance.estimation.live.component_smoother import (
+    FEWEST,
+    ComponentSmoother,
+    FinalSamples,
+    SmootherSettings,
+)
 from aerobalance.estimation.live.decimation import Decimator
 from aerobalance.estimation.live.decoupling import Decoupler
 from aerobalance.estimation.live.equation import Equation
@@ -236,7 +241,7 @@ class LiveForce:
 
     def _drain(self) -> None:
         """Have all samples that still wait become final."""
-        if self._parts is None and self._early:
+        if self._parts is None and self._pushed >= FEWEST:  # of fewer there is neither a noise nor a force
             self._judge_noise()
         if self._decoupler is not None:
             self._smooth(self._decoupler.finish(), last=True)
