@@ -209,7 +209,7 @@ class ComponentSmoother:
                 self._advance(state.filter, parts)
         if last:
             state.filter.give(state.filter.taken)
-            self._collect(parts)
+            self._collect(state.filter, parts)
         return self._final(parts)
 
     def _final(self, parts: list[tuple[Array, Array]]) -> FinalSamples:
@@ -223,14 +223,14 @@ class ComponentSmoother:
         # from the first readings the noise is not known well enough to tell what is strange
         watch = state.learning is not None or live.taken >= self.settings.settling
         happened = live.run(self._next_mark(live), watch=watch)
-        self._collect(parts)
+        self._collect(live, parts)
         if happened == kernels.STEP:
             self._take_up_step(live)
         elif happened == kernels.STRANGE:
             self._answer_strangeness(live)
         if happened != kernels.NOTHING and state.filter is not None:
             state.filter.give(state.filter.taken - lag)
-            self._collect(parts)
+            self._collect(state.filter, parts)
         for one in self._steps.ringing_on:
             if state.filter is live and live.taken == one.again:
                 self._steps.place_again(live, one, lag=lag)
@@ -252,11 +252,9 @@ class ComponentSmoother:
             marks.append(state.widen_at)
         return min(mark for mark in marks if mark > live.taken)
 
-    def _collect(self, parts: list[tuple[Array, Array]]) -> None:
+    def _collect(self, live: LiveFilter, parts: list[tuple[Array, Array]]) -> None:
         """Put by what became final, with the doubt on which side of a step the samples beside it lie."""
-        if self.state.filter is None:
-            return
-        begin, force, variance = self.state.filter.collect()
+        begin, force, variance = live.collect()
         parts.append((force, variance + self._steps.doubt(begin, force.size)))
 
     # ---- steps

@@ -113,7 +113,7 @@ class Decoupler:
 
     def _take(self, loads: Array, net: Array) -> None:
         if self._modes is None or self._start is None:
-            return
+            raise AssertionError
         start, net_start = self._start
         missing, filled = ~np.isfinite(loads), hold_over_gaps(loads, self._held)
         self._held = filled[-1]

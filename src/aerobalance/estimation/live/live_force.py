@@ -300,10 +300,9 @@ class LiveForce:
     def due(self) -> Snapshot | None:
         """Return readings of a component from which it is time to learn, for `Snapshot.learn` elsewhere; None else."""
         for _, part in self._named_parts():
-            if part.state.due:
-                snapshot = part.due()
-                if snapshot is not None:
-                    return self._named(snapshot)
+            snapshot = part.due()
+            if snapshot is not None:
+                return self._named(snapshot)
         return None
 
     def snapshot(self, component: str | None = None) -> Snapshot:
@@ -411,7 +410,7 @@ class LiveForce:
         """Longest gap that is bridged, in readings."""
         return self._latency * self.factor if self._running else 0
 
-    def _make(self) -> None:
+    def _make(self) -> Decoupler:
         """The decoupled channels and their smoothers, now that the noise is known."""
         columns = self._columns
         if columns is None or self._noise is None:
@@ -421,6 +420,7 @@ class LiveForce:
         self._decoupler = Decoupler(channels, interval=self.interval, moves=moves, delay=self._equation.delay)
         self._parts = self._smoothers(channels, ahead=self._decoupler.ahead)
         self._latency = self._decoupler.ahead + max(part.settings.lag for part in self._parts)
+        return self._decoupler
 
     def _channels(self, noise: Array) -> list[DecoupledChannel]:
         return [self.dynamics.decoupled(name, noise=noise) for name in self.components]
@@ -504,9 +504,7 @@ class LiveForce:
         loads, net = (np.concatenate([part[which] for part in self._early]) for which in (0, 1))
         self._early = []
         self._noise = judged_noise(self.components, loads[:JUDGED])
-        self._make()
-        if self._decoupler is not None:
-            self._smooth(self._decoupler.push(loads, net))
+        self._smooth(self._make().push(loads, net))
 
     def _smooth(self, readings: Array, *, last: bool = False) -> None:
         for place, part in enumerate(self._parts or ()):
