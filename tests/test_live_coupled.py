@@ -113,6 +113,33 @@ def test_chunks_do_not_matter_when_taken_apart(rng):
         assert np.array_equal(other, once, equal_nan=True), most
 
 
+def test_components_wait_for_the_first_reading_of_each_other(rng):
+    """Whatever is there before, a mixed reading begins when all have been read once."""
+    balance = random_balance(rng)
+    readings = felt(rng, balance, 3000)
+    readings[:500, 2] = np.nan
+    whole = apart(rng, channels_of(balance), readings, most=6000)
+    live = Decoupler(channels_of(balance), interval=1 / RATE, moves=False)
+    net = np.zeros(readings.shape)
+    assert live.push(readings[:400], net[:400]).shape == (0, 6)
+    rest = [live.push(readings[400:900], net[400:900]), live.push(readings[900:], net[900:]), live.finish()]
+    np.testing.assert_array_equal(np.concatenate(rest), whole)
+
+
+def test_a_stream_that_begins_anew_leaves_out_what_has_no_force(rng):
+    """A component that was never read has no force; where the ground begins to move, the others begin anew."""
+    count, rate = 6000, 2500.0
+    readings = rng.normal(0, [0.2, 0.01], (count, 2))
+    readings[:, 0] = np.nan
+    ground = rng.normal(0, 0.01, count) + np.where(np.arange(count) > 3000, 5 * np.sin(np.arange(count) / 5), 0)
+    live = LiveForce(
+        pair(), rate=rate, noise=np.diag([0.2, 0.01]) ** 2, settings=LiveSettings(samples_a_period=np.inf)
+    )
+    found = run(rng, live, readings, ground_acceleration_z=ground)  # which sees that no sample is passed over
+    assert live.generation > 1
+    assert np.isnan(found["NF"]).all()
+
+
 def test_known_loads_are_taken_off(rng):
     balance = random_balance(rng)
     count = 3000

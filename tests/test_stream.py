@@ -10,8 +10,9 @@ from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.live.decoupling import Decoupler
 from aerobalance.estimation.live.filter import false_alarm_evidence
-from aerobalance.estimation.live.health import Health, wide_process
+from aerobalance.estimation.live.health import Health, Watch, wide_process
 from aerobalance.estimation.live.live_force import LiveForce, LiveSettings
+from aerobalance.estimation.live.motion_test import MotionTest, MotionTestSettings
 from aerobalance.estimation.live.platform import LiveChannel
 from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares
 from aerobalance.estimation.spectra.periodogram import Spectrum
@@ -351,6 +352,109 @@ def test_learning_elsewhere_is_adopted(rng):
     # a process learned from 4000 samples costs some percent over the true one; 1.25 is far from the start-up's 2
     late = slice(4200, 7900)
     assert np.std((force - truth)[late]) < 1.25 * np.std((best - truth)[late])
+
+
+def test_learning_that_comes_back_in_a_long_gap_is_adopted(rng):
+    """With nothing read for longer than the filter looks back, its swing is that of the first readings."""
+    process = second_order(density=50.0)
+    readings, truth = drawn(rng, 9000, learned=process)
+    readings[4000:6000] = np.nan
+    live = Axial(T128, learn_inside=False)
+    parts = [live.push(readings[:4000])]
+    snapshot = live.live.due()
+    parts.append(live.push(readings[4000:6000]))
+    live.live.adopt(snapshot.learn())
+    assert live.live.due() is None
+    parts += [live.push(readings[6000:]), live.finish()]
+    force, u = (np.concatenate([getattr(part, name) for part in parts]) for name in ("force", "uncertainty"))
+    scores = ((force - truth) / u)[6200:8900]
+    # some four independent values a period of 1/120 Hz: 800, whose mean square is known to 5 %; five of these, and
+    # what a learned process makes more or less of the uncertainty, a quarter
+    assert np.mean(scores**2) == pytest.approx(1, abs=0.5)
+
+
+def test_what_was_learned_of_a_stream_that_ended_serves_the_next(rng):
+    live = Axial(T128, learn_inside=False)
+    live.push(rng.normal(0, NOISE, 4000))
+    learning = live.live.due().learn()
+    live.live.restart()
+    live.push(rng.normal(0, NOISE, 500))
+    live.live.adopt(learning)
+    assert live.health.process == "start-up"
+    live.live.restart()
+    live.push(rng.normal(0, NOISE, 500))
+    assert live.health.process == "learned"
+    assert live.health.learned_from is None  # not from readings of this one
+
+
+def test_a_stream_of_few_readings_has_no_noise_and_adopts_nothing(rng):
+    live = Axial(T128, learn_inside=False)
+    live.push(rng.normal(0, NOISE, 4000))
+    learning = live.live.due().learn()
+    fresh = Axial(T128)
+    fresh.push(rng.normal(0, NOISE, 2))
+    assert (fresh.health.process, fresh.health.samples) == ("start-up", 2)
+    assert np.isnan(fresh.health.noise) and np.isnan(fresh.health.noise_now)
+    assert fresh.live.generation == learning.generation
+    with pytest.raises(ValueError, match="too few readings were pushed"):
+        fresh.live.adopt(learning)
+
+
+def test_it_is_time_to_learn_only_where_there_is_something_to_learn_from(rng):
+    """Of 4000 samples but fifty are missing: the noise is judged and a force there, but nothing is learned."""
+    readings = np.full(4000, np.nan)
+    readings[:50] = rng.normal(0, NOISE, 50)
+    live = Axial(T128, learn_inside=False)
+    live.push(readings)
+    assert live.live.due() is None
+    live.push(rng.normal(0, NOISE, 8000))
+    assert live.live.due() is not None
+
+
+def test_steps_that_learning_found_are_followed(rng):
+    """At the start a wide band takes a step for a part of itself; what is learned knows better."""
+    instant = 1.10017
+    readings = rng.normal(0, NOISE, 2200) + 20 * T128.step_response(np.arange(2200) / RATE - instant)
+    live = Axial(T128, learn_inside=False, first_learning=1.3)
+    live.push(readings[:1900])
+    before = live.steps
+    live.live.adopt(live.live.snapshot().learn())
+    live.push(readings[1900:])
+    (step,) = live.steps
+    assert not before
+    assert step.instant == pytest.approx(instant, abs=5 * step.instant_uncertainty + 1e-6)
+
+
+def test_a_step_that_has_rung_out_is_a_part_of_the_constant(rng):
+    damped = Dynamics("AF", 177.87, 3.093e7, 10 * 828.21)  # 10 % damping: it has rung out within a second
+    count = 12_000
+    readings = rng.normal(0, NOISE, count) + 500 * damped.step_response(np.arange(count) / RATE - 1.00017)
+    live = Axial(damped, learned=silent())
+    force, _ = streamed(live, readings, [1000] * 12)
+    (step,) = live.steps
+    assert step.height == pytest.approx(500, abs=5 * NOISE)  # one reading alone tells as much
+    # from sample 4000 on 2400 readings and more tell the constant after the step, each with its noise
+    assert np.abs(force[4000:] - 500).max() < 5 * NOISE / np.sqrt(2400)
+
+
+def test_a_stretch_without_readings_says_nothing_of_the_noise(rng):
+    watch = Watch(T128, interval=1 / RATE)
+    watch.look(2 * rng.normal(size=256), np.ones(256, dtype=bool), stop=256)
+    before = watch.mean_square
+    assert before == pytest.approx(4, rel=5 * np.sqrt(2 / 256))
+    watch.look(np.zeros(256), np.zeros(256, dtype=bool), stop=512)
+    assert watch.mean_square == before
+
+
+def test_nothing_is_said_to_move_by_too_few_readings(rng):
+    settings = MotionTestSettings()
+    test = MotionTest([0.1], interval=1 / RATE, settings=settings)
+    rows = np.full((test.room(), 1), np.nan)
+    rows[: settings.least - 1] = rng.normal(0, 10.0, (settings.least - 1, 1))
+    assert not test.push(rows)
+    assert not test.moves.any()
+    assert test.push(rng.normal(0, 10.0, (test.room(), 1)))
+    assert test.moves.all()
 
 
 def test_a_stream_that_ends_before_its_first_reading_has_no_force():
