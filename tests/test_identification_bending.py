@@ -11,6 +11,7 @@ from scipy.stats import chi2, norm
 from aerobalance.app.commands.identify_coupled import identify_decays
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.identification.coupled.conclusions import rigid_of
+from aerobalance.identification.coupled.era import quick_guess
 from aerobalance.identification.coupled.free_response import FreeMotion
 from aerobalance.identification.coupled.internal_coordinates import (
     held_states,
@@ -19,7 +20,7 @@ from aerobalance.identification.coupled.internal_coordinates import (
     renewed,
     static_contributions,
 )
-from aerobalance.identification.coupled.least_squares import whitener_of
+from aerobalance.identification.coupled.least_squares import compressed, whitener_of
 from aerobalance.identification.coupled.modes import ModeTable
 from aerobalance.identification.force_error import force_weights, true_force_error
 from aerobalance.identification.step_relaxation import model_order as further_coupled
@@ -269,6 +270,54 @@ def test_a_mode_that_is_not_linear_is_no_two(rng):
     fit = quietly(made)
     assert fit.dynamics.internal == 0, fit.notes
     assert any("or damping is not linear" in note for note in fit.notes), fit.notes
+
+
+def errors_over_u(found: CoupledDynamics, true: CoupledDynamics) -> float:
+    """Sum of squares of the errors of A and D in their covariance."""
+    u = np.sqrt(np.diag(found.total_covariance))
+    error = np.concatenate([(found.inertia - true.inertia).ravel(), (found.damping - true.damping).ravel()])
+    return float((error / u) @ np.linalg.solve(found.total_covariance / np.outer(u, u), error / u))
+
+
+@pytest.mark.parametrize("noise", [0.2, 0.3])
+def test_releases_that_the_noise_hides_are_refused(noise, rng):
+    """Releases of half of half the range: a level that is let go in the noise was taken for a mode of 3.5 Hz."""
+    with pytest.raises(FitError, match="above the noise"):
+        quietly(recordings(rigid(), rng, noise=noise))
+
+
+def test_ringing_without_its_release_tells_the_modes_with_true_uncertainties(rng):
+    true, cut = rigid(), 200  # the releases are at 0.05 to 0.06 s, the records begin at 0.08 s
+    made = [
+        Recording.from_columns(
+            one.time[cut:],
+            {name: replace(one.channel(name), values=one.channel(name).values[cut:]) for name in NAMES},
+            name=one.name,
+        )
+        for one in recordings(true, rng)
+    ]
+    found = quietly(made, modes=2)
+    assert any("is not that of a clean" in note for note in found.notes)
+    assert chi2.ppf(NEVER / 2, 8) < errors_over_u(found.dynamics, true) < chi2.isf(NEVER / 2, 8)
+
+
+def test_what_grows_is_no_free_decay():
+    """From 1 to e^150 within the record: a guess that grows by more than e^100 is made by rounding, and not taken."""
+    time = np.arange(600) / RATE
+    decays = [np.exp(150 * time / time[-1])[:, None] * np.cos(2 * np.pi * np.outer(time, [90.0, 140.0]))]
+    guess = quick_guess(decays, rate=RATE, internal=0)
+    assert guess is None or FreeMotion.of(guess.spring, guess.brake, components=2).poles.real.max() < 100 / time[-1]
+
+
+@pytest.mark.parametrize("rows", [3, 40])
+@pytest.mark.parametrize("nothing", [False, True], ids=["", "a column of nothing"])
+def test_compressed_columns_have_the_products_of_the_whole(rows, nothing, rng):
+    columns, left = rng.normal(size=(rows, 5)), rng.normal(size=(rows, 1))
+    columns[:, 3] *= not nothing
+    factor, part = compressed(columns, left)
+    # rounding of sums of forty products
+    np.testing.assert_allclose(factor.T @ factor, columns.T @ columns, atol=1e-13)
+    np.testing.assert_allclose(factor.T @ part, columns.T @ left, atol=1e-13)
 
 
 def test_a_rigid_model_has_no_bending_mode(rng):
