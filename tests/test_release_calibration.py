@@ -19,6 +19,7 @@ from aerobalance.identification.step_relaxation.record import ReleaseRecord, rel
 from aerobalance.identification.step_relaxation.stages import fit_releases
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.recording import Recording
 from aerobalance.simulation.six_balance import random_balance
 from helpers import bending_releases as bending
 from helpers.releases import between, errors, felt, quietly, recording
@@ -152,6 +153,27 @@ def covariance_of_turning(matrix: BalanceMatrix, A: Array, D: Array, names: tupl
             slopes[:, row, place] = np.concatenate([(own @ part - part @ own).ravel() for part in (A, D)])
     flat = slopes.reshape(len(slopes), -1)
     return np.asarray(flat @ coefficient_covariance(matrix) @ flat.T)
+
+
+def test_ringing_without_its_release_is_turned_as_the_whole_is(rng) -> None:
+    matrix = straightened(calibrated(rng, size=1e-4))
+    places = [COMPONENTS.index(name) for name in bending.NAMES]
+    M, C, K, _, _ = bending.structure()
+    inverse = np.linalg.inv(K[:2, :2])
+    two = CoupledDynamics(bending.NAMES, M[:2, :2] @ inverse, C[:2, :2] @ inverse)
+    made, given = [], []
+    for one in bending.recordings(two, rng, noise=NOISE):
+        values = np.column_stack([one.channel(name).values for name in bending.NAMES])[200:]
+        channels = {name: replace(one.channel(name), values=values[:, i]) for i, name in enumerate(bending.NAMES)}
+        made.append(Recording.from_columns(one.time[200:], channels, name=one.name))
+        native = np.zeros((len(values), 6))
+        native[:, places] = values
+        given.append(MatrixErrors(matrix, COMPONENTS, np.eye(6), native))
+    found = bending.quietly(made, modes=2, errors=given).dynamics
+    expected = covariance_of_turning(matrix, found.inertia, found.damping, bending.NAMES)
+    u = np.sqrt(np.diag(expected))
+    # noise in the loads, 1e-5 of half of range and 1e-4 of what still rings, is all that makes a difference
+    np.testing.assert_allclose(found.covariance_of_calibration / np.outer(u, u), expected / np.outer(u, u), atol=2e-2)
 
 
 def test_hidden_coordinates_are_turned_as_slow_motion_is(rng) -> None:
