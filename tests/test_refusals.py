@@ -23,7 +23,7 @@ from aerobalance.identification.from_modes import dynamics_of_modes, one_of_pole
 from aerobalance.identification.from_stiffness import agreement, compare_coupled, coupled_from_stiffness
 from aerobalance.identification.impact.tap_point import TapPoint
 from aerobalance.identification.impact.taps import identify_taps
-from aerobalance.identification.rigid_body import rigid_mass_of
+from aerobalance.identification.rigid_body import adjusted, rigid_mass_of
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.simulation.calibration_stand import CalibrationStand, random_balance
@@ -260,6 +260,36 @@ def test_modes_of_dynamics_make_these_dynamics():
     assert found.inertia == pytest.approx(COUPLED.inertia, rel=1e-8, abs=1e-10 * np.abs(COUPLED.inertia).max())
     assert found.damping == pytest.approx(COUPLED.damping, rel=1e-6, abs=1e-8 * np.abs(COUPLED.damping).max())
     assert agreement(COUPLED, found, damping=True) is None  # of two exact ones there is no test
+
+
+def test_modes_of_components_that_are_not_coupled_tell_no_mass():
+    with (
+        pytest.warns(DataQualityWarning, match="no uncertainty is known"),
+        pytest.warns(DataQualityWarning, match="no mass matrix"),
+    ):
+        dynamics, rigid = dynamics_of_modes(POLES, SHAPES, mass=20.0)
+    assert rigid is None
+    # of one component w0^2 is |pole|^2, and its inertia 1 / w0^2
+    assert np.diag(dynamics.inertia) == pytest.approx(np.abs(POLES) ** -2.0)
+
+
+def test_equations_that_nothing_meets_have_no_adjustment():
+    """x^2 + 1 is never zero: Gauss and Helmert's steps go on for ever."""
+    found = adjusted(
+        np.array([1.0]),
+        np.eye(1),
+        lambda values, unknowns: (values**2 + 1, 2 * values[None], np.zeros((1, 0))),
+        start=np.zeros(0),
+    )
+    assert found is None
+    met = adjusted(
+        np.array([1.5]),
+        np.eye(1),
+        lambda values, unknowns: (values**2 - 1, 2 * values[None], np.zeros((1, 0))),
+        start=np.zeros(0),
+    )
+    assert met is not None
+    assert met.values == pytest.approx([1.0])
 
 
 def test_a_pole_that_does_not_decay():
