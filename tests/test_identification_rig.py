@@ -290,6 +290,9 @@ def test_records_that_cannot_carry_a_result_are_refused(rng):
     )
     with pytest.raises(FitError, match="at least 256"):
         identify_rig(short, mass=MASS)
+    brief = shake(Sweep(500.0, 900.0, 0.1), rng).recording  # lines lie 10 Hz apart
+    with pytest.raises(FitError, match=r": [67] frequencies .* 620 to 680 Hz; 32 are needed"):
+        identify_rig(brief, mass=MASS, band=(620.0, 680.0))
 
 
 def test_wrong_calls(rng):

@@ -27,6 +27,8 @@ class SpectraSettings:
     ----------
     least_samples
         Samples below which no spectrum of use can be had.
+    least_lines
+        Frequencies below which a band tells nothing.
     least_coherence
         Coherence below which a block of frequencies tells more about noise than about the balance.
     windowed
@@ -39,6 +41,7 @@ class SpectraSettings:
     """
 
     least_samples: int = 256
+    least_lines: int = 32
     least_coherence: float = 0.1
     windowed: float = 35 / 18
     swept: float = 1.18
@@ -181,8 +184,12 @@ def excited(spectra: Spectra, *, band: tuple[float, float] | None, name: str) ->
     within = np.ones(spectra.frequency.size, dtype=bool)
     if band is not None:
         within = (spectra.frequency >= band[0]) & (spectra.frequency <= band[1])
-        if np.count_nonzero(within) < 32:
-            raise FitError(f"{name}: no frequencies of the record lie in the band {band[0]:g} to {band[1]:g} Hz")
+        lines = int(np.count_nonzero(within))
+        if lines < SETTINGS.least_lines:
+            raise FitError(
+                f"{name}: {lines or 'no'} frequencies of the record lie in the band {band[0]:g} to {band[1]:g} Hz; "
+                f"{SETTINGS.least_lines} are needed: widen the band, or record for longer"
+            )
         spectra = spectra.keep(within)
     count = spectra.block_sum(np.ones(spectra.frequency.size))
     # Coherence of n pairs of independent noise exceeds c with probability (1 - c)^(n - 1).
