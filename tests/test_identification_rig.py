@@ -182,6 +182,27 @@ def test_gain_uncertainty_of_the_accelerometer_counts(rng):
     assert fit.uncertainty("mass") == pytest.approx(0.01 * fit.mass, rel=0.01)
 
 
+def test_an_ac_coupled_accelerometer_is_taken_for_what_it_reads(rng):
+    """Through a high-pass of 50 Hz, j f / (j f + 50 Hz), the motion leads by 4 degrees at the resonance."""
+    recording = shake(Sweep(500.0, 900.0, 0.6), rng).recording
+    values = recording.channel("ground_acceleration").values
+    frequency = np.fft.rfftfreq(values.size, 1 / recording.rate)
+    passed = np.fft.irfft(np.fft.rfft(values) * 1j * frequency / (1j * frequency + 50.0), values.size)
+    fit = identify_rig(
+        with_channel(recording, "ground_acceleration", values=passed, coupling="ac", corner=50.0), mass=MASS
+    )
+    errors, uncertainties = found(fit)
+    assert np.all(np.abs(errors) < 5 * uncertainties)
+
+
+def test_a_weighed_mass_on_one_mode_needs_no_other(rng):
+    fit, texts = said(shake(Sweep(500.0, 900.0, 0.6), rng).recording, mass=MASS, modes="auto")
+    assert fit.dynamics.further_modes == ()
+    assert not any("further mode" in text for text in texts)
+    errors, uncertainties = found(fit)
+    assert np.all(np.abs(errors) < 5 * uncertainties)
+
+
 def test_delay_known_from_the_channel_settings_is_removed(rng):
     recording = shake(DRIVES["stepped"], rng).recording
     settled = with_channel(recording, "AF", delay=DELAY)
@@ -350,6 +371,13 @@ def test_second_mode_is_found_within_its_uncertainty(mass: float | None, modes: 
         # A normal number is beyond 6 once in 5e8. The uncertainties themselves scatter by some percent.
         assert np.all(np.abs(scores) < 6), scores
         assert total < 1.5 * chi2.isf(1e-6, scores.size), total
+
+
+def test_as_many_modes_as_are_asked_for_are_found_in_a_short_record(rng):
+    second = Mode(165.0, 0.008, 0.07)
+    fit, _ = said(several(rng, second, seconds=2.0), modes=2)
+    scores, _ = misfit(fit.dynamics, LARGE.with_modes(second))
+    assert np.all(np.abs(scores) < 6), scores
 
 
 def test_three_modes_are_found(rng):
