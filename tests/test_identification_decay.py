@@ -231,6 +231,18 @@ def test_record_may_start_after_the_release(rng):
     assert fit.release is None
 
 
+@pytest.mark.parametrize("periods", [0.6, 1.3, 3.0, 4.5, 6.2])
+def test_a_release_soon_after_the_record_begins_is_found(periods, rng):
+    """A recorder that is triggered by the release keeps little from before it."""
+    first = round((RELEASE - periods / T128.natural_frequency) * RATE)
+    fit = identify_decay(noisy(rng, release()[first:]), mass=T128.mass)
+    meets(fit.dynamics)
+    assert fit.doubts == ()
+    assert fit.release is not None
+    instant, u = fit.release
+    assert abs(instant - (RELEASE - first / RATE)) < 5 * u
+
+
 def test_second_event_is_cut_from_the_window(rng):
     load = release(5.0)
     time = clock(5.0)

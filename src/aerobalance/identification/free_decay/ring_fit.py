@@ -38,6 +38,15 @@ SIGN: Final = 4.0
 COARSE: Final = 32.0
 """Means in a period of the ringing that suffice to begin with."""
 
+EARLY: Final = 6.0
+"""Periods after the first reading in which a release is looked for by its waveform, as no onset is seen there."""
+
+AFTER: Final = 3.0
+"""Periods after such a release that are looked at."""
+
+CLEARLY_RELEASED: Final = 0.5
+"""Squares that such a release leaves, over those of a ringing from the first reading on, below which it is taken."""
+
 
 def fit_ring(
     time: Array,
@@ -97,6 +106,8 @@ def _gain_of_a_duration(ring: Ring) -> float:
 
 def _approach(time: Array, values: Array, look: Look) -> Ring:
     """Fit a few periods first, where a poor frequency does no harm, then three times as many, and so on to the end."""
+    if look.shape == "free":
+        look = _early(time, values, look)
     begun: Look | Ring = _placed(time, values, look) if look.shape == "release" else look
     reach = 4 / look.frequency
     while True:
@@ -147,6 +158,29 @@ def _coarse(time: Array, values: Array, start: Look | Ring) -> tuple[Array, Arra
         return time, values
     instants, readings = (np.mean(each[:whole].reshape(-1, count), axis=1) for each in (time, values))
     return instants, readings
+
+
+def _early(time: Array, values: Array, look: Look) -> Look:
+    """The first look, or a release in the first periods where that explains what is around it and a ringing does not.
+
+    A ringing from the first reading on has the better fit where the record begins amid it, and none to speak of where
+    a load is held first.
+    """
+    period, begin = 1 / look.frequency, float(time[0])
+    part = time < begin + (EARLY + AFTER) * period
+    instants, readings = _coarse(time[part], values[part], look)
+    best, least = look, CLEARLY_RELEASED
+    for shift in np.arange(0, EARLY, 1 / 16) * period:
+        trial = replace(look, shape="release", start=begin + shift)
+        near = instants < trial.start + AFTER * period  # over which a poor frequency does no harm
+        squares = []
+        for one in (trial, look):
+            columns = columns_of(instants[near], one.shape, _start_vector(one, one.shape, ()), (), begin=begin)
+            left = projected(columns, readings[near])[1]
+            squares.append(float(left @ left))
+        if squares[0] < least * squares[1]:
+            best, least = trial, squares[0] / squares[1]
+    return best
 
 
 def _placed(time: Array, values: Array, look: Look) -> Look:
