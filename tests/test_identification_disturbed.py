@@ -266,6 +266,32 @@ def test_two_modes_that_beat_are_no_friction(share, rng):
     assert "close modes" in kinds(quietly(recording))
 
 
+def wandering(rng: np.random.Generator, *, seconds: float, at: float) -> Recording:
+    """A release of 10 N of a balance at 0.6 Hz, read at 50 Hz, whose zero wanders by 1 N in a second."""
+    balance = Dynamics("AF", 1.0, (2 * np.pi * 0.6) ** 2, 2 * 4e-3 * 2 * np.pi * 0.6)
+    time = np.arange(round(50 * seconds)) / 50
+    zero = np.cumsum(rng.normal(size=time.size)) / np.sqrt(50)
+    return record(zero - 10 * balance.free_decay(time - at) + rng.normal(0, 0.02, time.size), 50.0)
+
+
+@pytest.mark.parametrize("at", [2.0, 8.0])
+def test_a_zero_that_wanders_is_told_and_counted(at, rng):
+    fit = quietly(wandering(rng, seconds=30, at=at))
+    assert "unexplained" in kinds(fit)
+    assert abs(fit.dynamics.damping_ratio - 4e-3) < 5 * fit.dynamics.uncertainty("damping_ratio")
+    # white noise of 0.02 N alone would leave 3e-6
+    assert fit.dynamics.uncertainty("damping_ratio") > 30e-6
+
+
+def test_two_periods_under_a_wandering_zero_are_refused_or_as_uncertain_as_said(rng):
+    try:
+        found = quietly(wandering(rng, seconds=12, at=8.0)).dynamics
+    except FitError as refused:
+        assert "at least 2 are needed" in str(refused) or "does not clearly decay" in str(refused)
+        return
+    assert abs(found.damping_ratio - 4e-3) < 5 * found.uncertainty("damping_ratio")
+
+
 def test_what_is_cut_off_is_told(rng):
     time = np.arange(8000) / RATE
     load = HEIGHT * T128.free_decay(time - RELEASE) + 400 * T128.step_response(time - 3.5003)
