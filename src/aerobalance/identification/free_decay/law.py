@@ -174,6 +174,17 @@ def levelled(ring: Ring, chosen: Law) -> tuple[Ring, AmplitudeLaw, AmplitudeDepe
     return mean, law, dependence
 
 
+def decays_by(ring: Ring, law: Law) -> bool:
+    """Whether a ring by a law decays on the average: a search that goes astray may end in a rise, or in no number."""
+    since = ring.time - ring.start - ring.duration
+    since = since[since > 0]
+    if not since.size:
+        return False
+    with np.errstate(over="ignore", invalid="ignore"):
+        found = _comes_to(ring.vector[_places(ring)], law, since, np.array([1.0, LEAST]))
+    return bool(np.isfinite(found).all() and found[0] > 0)
+
+
 def _places(ring: Ring) -> NDArray[np.intp]:
     """Places of decay rate, angular frequency and the two numbers of the law among the nonlinear parameters."""
     return np.array([0, 1, ring.vector.size - 2, ring.vector.size - 1])

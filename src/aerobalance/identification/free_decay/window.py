@@ -21,6 +21,7 @@ from aerobalance.identification.free_decay.law import (
     AmplitudeLaw,
     by_law,
     close_lines,
+    decays_by,
     levelled,
     likeliest_law,
     of_two_modes,
@@ -110,7 +111,9 @@ def account(ring: Ring, time: Array, values: Array, *, onset: float) -> Account:
     dependence, found = amplitude_dependence(found, bent=bent if found is ring else None)
     law = None
     if found.bent:
-        found = by_law(found, likeliest_law(found))
+        chosen = likeliest_law(found)
+        lawful = by_law(found, chosen)
+        found = lawful if decays_by(lawful, chosen) else fit_ring(found.time, found.values, found, lines=found.lines)
     if found.law is not None:
         found, law, dependence = levelled(found, found.law)
     if quick is not None and not decays(found):  # a law or a second mode that leads nowhere
@@ -132,11 +135,12 @@ def _richer(ring: Ring) -> tuple[Ring, bool, Ring]:
     gain = band.minus_log_likelihood(ring.residuals) - band.minus_log_likelihood(bent.residuals)
     if bent.squares > (1 - PLAIN) * ring.squares and gain < EVIDENCE / 2:
         return ring, False, bent
-    law, two = by_law(ring, likeliest_law(bent)), of_two_modes(ring)
+    chosen = likeliest_law(bent)
+    law, two = by_law(ring, chosen), of_two_modes(ring)
     if two is not None and two.squares < law.squares - EVIDENCE * two.variance:
         return two, True, bent
     # a law whose search went astray, as beside a strong further mode, explains less than none
-    return (law if law.squares < ring.squares else ring), False, bent
+    return (law if law.squares < ring.squares and decays_by(law, chosen) else ring), False, bent
 
 
 def _believed(forced: Ring, other: Ring, evidence: float) -> bool:
