@@ -10,7 +10,7 @@ from aerobalance.estimation.force import estimate_force, force_record
 from aerobalance.estimation.force_smoother import SAME_LINE, SAME_NOISE, _differ
 from aerobalance.estimation.live.live_force import LiveForce
 from aerobalance.estimation.prior import Observation
-from aerobalance.estimation.spectra.noise_floor import lasts
+from aerobalance.estimation.spectra.noise_floor import departure_of, lasts
 from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, Hump, NoiseSpectrum
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError
@@ -203,3 +203,11 @@ def test_steps_are_looked_for_again_where_hum_or_noise_have_become_others():
         ratio = grown**share
         other = ColoredNoise(np.array([30.0]), np.array([16.0 * ratio]), (), 1 / RATE)
         assert _differ(first, replace(first, color=other, noise=2.0 * np.sqrt(ratio))) == differs
+
+
+def test_noise_that_was_not_given_is_departed_from_by_nothing(rng):
+    reading = Observation(rng.normal(0, 2.0, 4000), 1 / RATE, T128)
+    assert departure_of(reading) is None
+    # 4000 readings tell a power to 2.2 %: four times what was given departs from it, by 1 / 4 to within 5 of these
+    assert departure_of(replace(reading, noise=4.0)) == pytest.approx(0.25, rel=0.11)
+    assert departure_of(replace(reading, noise=2.0)) is None

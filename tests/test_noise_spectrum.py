@@ -182,3 +182,17 @@ def test_what_is_no_record_of_noise_is_refused(monkeypatch, rng):
         NoiseSpectrum(0.0, 0.0, 1.0, (), 1 / RATE, np.zeros((2, 2)))
     with pytest.raises(ValueError, match="at most 2"):
         NoiseSpectrum(1.0, 3.0, 4.0, (), 1 / RATE, np.zeros((2, 2)))
+
+
+def test_noise_without_a_slow_part_is_white_and_its_humps():
+    hump = Hump(300.0, 0.4, 7.0)
+    frequency = np.array([1.0, 250.0, 300.0, 700.0])
+    alone = NoiseSpectrum(WHITE, 0.0, 1.0, (), 1 / RATE, np.zeros((2, 2)))
+    np.testing.assert_array_equal(alone.density(frequency), np.full(4, WHITE))
+    both = NoiseSpectrum(WHITE, 0.0, 1.0, (hump,), 1 / RATE, np.zeros((2, 2)))
+    np.testing.assert_allclose(both.density(frequency) - WHITE, hump.sampled(frequency, 1 / RATE), rtol=1e-12)
+
+
+def test_a_record_that_was_never_read_tells_no_noise():
+    with pytest.raises(FitError, match="0 readings of AF without a gap"):
+        noise_spectrum_of(np.full(10_000, np.nan), T128, interval=1 / RATE)

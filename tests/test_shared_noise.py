@@ -247,3 +247,25 @@ def test_sharp_bands_alike_have_nothing_to_share(rng) -> None:
     load = broadband(rng, Band(0, 300), rms=0.1 * balance.half_range, period=2 * DURATION)
     simulation = SixComponentRig(balance, applied=load, output="loads").run(DURATION, rng)
     assert not _record(balance, simulation)[1]
+
+
+def test_noise_that_no_other_component_shares_is_left_as_it_is(rng) -> None:
+    spectra = _random_matrix(rng)
+    apart = spectra.whole * np.eye(3)[:, :, None]
+    given = {"residuals": rng.normal(size=(50, 3)), "present": np.ones((50, 3), dtype=bool)}
+
+    def readings(other: int) -> Array:
+        return np.asarray(given["residuals"][:, other])
+
+    assert shared_noise(replace(spectra, whole=apart, own=apart), 0, readings=readings, **given) is None
+    one = slice(0, 1)
+    alone = NoiseMatrix(
+        models=spectra.models[:1],
+        frequency=spectra.frequency,
+        whole=spectra.whole[one, one],
+        own=spectra.own[one, one],
+        force=spectra.force[:, one],
+        gain=spectra.gain[:, one],
+    )
+    given = {name: table[:, one] for name, table in given.items()}
+    assert shared_noise(alone, 0, readings=readings, **given) is None

@@ -7,7 +7,7 @@ from scipy.optimize import approx_fprime, minimize
 
 from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.estimation.spectra import _kernels
-from aerobalance.estimation.spectra.parametric_psd import _Averages, fit_roll_offs
+from aerobalance.estimation.spectra.parametric_psd import _Averages, fit_roll_offs, refit_roll_off
 from aerobalance.estimation.spectra.periodogram import HANN_BANDWIDTH, Periodogram, Spectrum, _Ordinates, leaked
 from aerobalance.estimation.spectra.piecewise_psd import CHANGE_EVIDENCE, _cheapest
 from aerobalance.estimation.spectra.whittle import fit_spectrum, refit_spectrum
@@ -272,3 +272,10 @@ def test_density_of_segments_and_roll_off():
     assert str(Spectrum(np.zeros(0), np.zeros(0))) == "no fluctuating force"
     assert "2 segment(s) up to 20 Hz" in str(steps)
     assert "power 6" in str(smooth)
+
+
+def test_only_a_roll_off_is_fitted_again(rng):
+    periodogram = fit(rng.normal(0, 2.0, 4000))
+    segments = Spectrum(np.array([40.0, 800.0]), np.array([1.0, 0.1]))
+    with pytest.raises(ValueError, match="has no roll-off"):
+        refit_roll_off(periodogram, segments, 1.0, floor=None)
