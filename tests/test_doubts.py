@@ -12,14 +12,22 @@ import pytest
 from aerobalance.app.cli.program import main
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.applied_force import Force
-from aerobalance.estimation.checks.resolution import rounding_error, step_of
+from aerobalance.estimation.checks.evidence import Evidence
+from aerobalance.estimation.checks.mains_hum import hum_doubts
+from aerobalance.estimation.checks.resolution import resolution_doubt, rounding_error, step_of
+from aerobalance.estimation.checks.resonance_change import resonance_changes
+from aerobalance.estimation.error_sources import Noise
+from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.prior import Observation, SpectralPrior
+from aerobalance.estimation.spectra.line_noise import Line
 from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.io import write_recording
 from aerobalance.io.dynamics_file import write_dynamics
+from aerobalance.recording.channel import Channel
 from aerobalance.recording.doubts import KINDS, Doubt, Size, Verdict, of_all_parts, verdict_of
 from aerobalance.recording.errors import DataQualityWarning
+from aerobalance.recording.recording import Recording
 from faults.cases import Case, all_cases
 from faults.scene import FREQUENCY
 from faults.trials import recording_of, scores, worked_out
@@ -369,3 +377,42 @@ def test_rounding_error_is_that_of_rounding():
     # shrunk by at most 1.5 %, as the noise of a reading has 1/14 of the density of the force there; less the white
     # part, step^2 / 12 of 40 of 800 Hz; the error's power is known from 3000 ordinates, but at slow phases: 5 %
     assert float(found.deviation[0]) == pytest.approx(in_band, rel=0.15)
+
+
+def test_steps_that_no_force_stands_behind_are_no_error_of_a_force():
+    """Where the force is silent, what rounding does to it is nothing; where the rest is larger, it is no doubt."""
+    stiff = Dynamics("AF", 1.0, (2 * np.pi * 1e5) ** 2, 1e3)
+    reading = Observation(np.round(np.linspace(0, 3, 1000)), 1e-3, stiff)
+    silent = SpectralPrior(Spectrum(np.zeros(0), np.zeros(0)), ShapingFilter.silent(), 12**-0.5)
+    assert rounding_error(reading, silent, step=1.0) is None
+    error = Noise("resolution of the channel", "AF", np.full(1000, 0.1), np.ones(1))
+    assert resolution_doubt("AF", error, step=1.0, rest=10.0, unit="N") is None
+    doubt = resolution_doubt("AF", error, step=1.0, rest=0.01, unit="N")
+    assert doubt is not None
+    assert doubt.effect == pytest.approx(0.1)
+
+
+def test_a_large_line_at_the_mains_is_doubted_by_what_it_is_as_a_force():
+    """Of 5 N in the reading the force has 5 N over the gain, and over the root of two as its rms."""
+    dynamics = Dynamics("AF", 1.0, (2 * np.pi * FREQUENCY) ** 2, 2 * 0.01 * 2 * np.pi * FREQUENCY)
+    silent = SpectralPrior(Spectrum(np.zeros(0), np.zeros(0)), ShapingFilter.silent(), 1.0)
+    line = Line(50.0, 3.0, 4.0, 0.01, 100.0)
+    ((doubt, error),) = hum_doubts(dynamics, silent, named=(), large=[line], count=4000, interval=1 / 1600, unit="N")
+    gain = np.abs(1 / (1 - (50 / FREQUENCY) ** 2 + 0.02j * 50 / FREQUENCY))
+    assert doubt.effect == pytest.approx(5 / gain / 2**0.5, rel=1e-9)
+    assert "a line at 50 Hz" in doubt.text
+    assert np.sqrt(np.mean(error.deviation**2)) == pytest.approx(doubt.effect)
+
+
+def test_few_readings_have_no_peaks():
+    dynamics = Dynamics("AF", 1.0, (2 * np.pi * FREQUENCY) ** 2, 1.0)
+    assert Evidence(np.cos(np.arange(24.0)), 1 / 1600, 1e-6).peaks(dynamics) == []
+
+
+def test_a_resonance_above_half_the_rate_tells_no_change(rng):
+    stiff = Dynamics("AF", 1.0, (2 * np.pi * 1e5) ** 2, 1e3)
+    recording = Recording.from_columns(np.arange(1000) / 1600, {"AF": Channel("AF", rng.normal(0, 2, 1000), "N")})
+    (found,) = resonance_changes(estimate_force(recording, stiff))
+    assert found.natural_frequency == pytest.approx(1e5)
+    assert found.frequency is None
+    assert found.damping is None

@@ -8,6 +8,7 @@ import pytest
 
 from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.estimation.force import ForceWork, estimate_force
+from aerobalance.estimation.force_collector import SummaryOfParts
 from aerobalance.estimation.force_parts import JOINTS, Division
 from aerobalance.estimation.force_smoother import SmootherResult
 from aerobalance.estimation.forces import ForceSettings
@@ -324,3 +325,8 @@ def test_what_is_said_of_all_parts_is_said_once():
         "run: in part 1 of 4, from 0 s to 90 s: hum of 1.5e-3 N (and the like in 3 further parts)",
         "run: in part 2 of 4, from 90 s to 170 s: there is a gap",
     ]
+
+
+def test_a_summary_of_no_force_is_refused():
+    with pytest.raises(ValueError, match="no part of the record has a force of AF"):
+        _ = SummaryOfParts("AF", 11_000, 1).summary

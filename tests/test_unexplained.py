@@ -66,3 +66,10 @@ def test_something_sudden_is_told_from_chance_and_from_a_neighbour(rng):
     near = slice(1000 - 3 - 10, 1000 + 4 + 10)  # every window of four samples that holds it, and what is beside
     assert level[near].min() > (30 - 5) ** 2 / 4
     assert (np.flatnonzero(level > 1)[[0, -1]] == [1000 - 63 - 10, 1000 + 63 + 10]).all()
+
+
+def test_something_sudden_in_few_readings_is_seen_over_fewer(rng):
+    """Five readings hold no window of 16: those of four tell it alone."""
+    white = np.array([0.3, -0.5, 30.0, 0.2, 0.8])
+    expected = max(np.mean(white[:4] ** 2), np.mean(white[1:] ** 2))
+    assert sudden_excess(white, reach=5) == pytest.approx(np.full(5, expected))
