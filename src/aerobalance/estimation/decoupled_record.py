@@ -160,7 +160,7 @@ class DecoupledRecord(ComponentRecord):
         """By how much each acceleration acts on a component for a unit of each of `MASS_PARAMETERS`, shape (6, p)."""
         mass = self.coupled.mass
         if mass is None:
-            return np.zeros((len(COMPONENTS), 0))
+            raise AssertionError
         row = COMPONENTS.index(one.component)
         return np.column_stack([-part[row] for part in mass_slopes(mass)])
 

@@ -146,8 +146,8 @@ def _at_multiples(values: Array, step: float, count: int) -> NDArray[np.complex1
     chirped = np.exp(-0.5j * step * n**2)[:, None] * values
     filter_of = np.zeros(length, dtype=np.complex128)
     filter_of[: count + 1] = np.exp(0.5j * step * np.arange(count + 1.0) ** 2)
-    if rows > 1:
-        filter_of[-rows + 1 :] = np.exp(0.5j * step * np.arange(rows - 1.0, 0.0, -1.0) ** 2)
+    # of two rows at least: fewer readings after a tap are not used
+    filter_of[-rows + 1 :] = np.exp(0.5j * step * np.arange(rows - 1.0, 0.0, -1.0) ** 2)
     found = ifft(fft(chirped, length, axis=0) * fft(filter_of)[:, None], axis=0)[1 : count + 1]
     return np.asarray(np.exp(-0.5j * step * k**2)[:, None] * found)
 
