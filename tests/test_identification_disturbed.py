@@ -119,13 +119,14 @@ def slow(
     noise: float = 0.02,
     drift: float = 0.0,
     harmonic: float = 0.0,
+    stiffer: float = 0.0,
 ) -> Recording:
     """A decay of 10 N at 0.6 Hz, read at 50 Hz, by its amplitude and phase, integrated independently."""
     time, w = np.arange(round(50 * seconds)) / 50, 2 * np.pi * 0.6
 
     def rates(_: float, state: Array) -> list[float]:
         size = max(state[0], 1e-6)
-        return [-w * (ratios[0] + (ratios[1] - ratios[0]) * size**power) * size, w]
+        return [-w * (ratios[0] + (ratios[1] - ratios[0]) * size**power) * size, w * (1 + stiffer * size**2)]
 
     size, phase = solve_ivp(rates, (0, time[-1]), [1.0, rng.uniform(0, 6)], t_eval=time, rtol=1e-9, atol=1e-10).y
     load = 10 * size * np.cos(phase) + 10 * harmonic * size**2 * np.cos(2 * phase)
@@ -172,6 +173,16 @@ def test_damping_that_depends_on_the_amplitude_is_a_law_at_any_rate(power, drift
         assert abs(other.damping_ratio - fit.dynamics.damping_ratio) < 2 * max(
             np.hypot(u, other.uncertainty("damping_ratio")), 1e-9
         )
+
+
+def test_a_frequency_that_depends_on_the_amplitude_is_told_with_its_size(rng):
+    fit = quietly(slow(rng, seconds=60, ratios=(4e-3, 4e-3), power=1, stiffer=1e-3))
+    (doubt,) = [one for one in fit.doubts if one.kind == "amplitude dependence"]
+    assert "the spring is not linear" in doubt.text
+    law = fit.amplitude_law
+    true = 0.6 * (1 + 1e-3 * (law.amplitude / 10) ** 2)
+    # the amplitudes are known to 1e-3 of themselves, and a law of another power is off by less than it changes in all
+    assert np.abs(law.frequency - true) == pytest.approx(np.zeros(2), abs=5 * law.u_frequency.max() + 0.1 * 0.6e-3)
 
 
 @pytest.mark.parametrize("law", LAWS)

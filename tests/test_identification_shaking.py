@@ -15,6 +15,9 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.identification.base_excitation.shaking import identify_shaking
+from aerobalance.identification.base_excitation.shaking_fit import first_guess, information_rows
+from aerobalance.identification.base_excitation.shaking_fit import squares_of as squares_left
+from aerobalance.identification.base_excitation.shaking_record import shake_record
 from aerobalance.io import write_recording
 from aerobalance.io.dynamics_file import read_coupled
 from aerobalance.recording.channel import Channel
@@ -156,6 +159,24 @@ def test_gains_of_the_sensors_are_brought_in_line_by_the_weighed_mass(rng):
     # products of two gains, one in 10,000, are left out of the linear errors
     assert squares(error, found.rigid.mass.covariance[1:, 1:]) < 1.3 * chi2.isf(NEVER, 9)
     assert found.rigid.weighed.chance
+
+
+def test_a_gain_of_one_record_is_no_matter_of_another(rng):
+    plain, given = shake_record(shaken(rng)), shaken(rng, name="other")
+    name = GROUND_CHANNELS[0]
+    uncertain = replace(given.channel(name), relative_uncertainty=0.01, zero_uncertainty=0.1)
+    other = shake_record(replace(given, channels={**given.channels, name: uncertain}))
+    (key,) = other.slopes  # the gain alone: a zero is no motion
+    assert key == ("accelerometer gain", name)
+    assert not plain.slopes
+    found = first_guess([plain, other], sizes=HALF_RANGE)
+    moved = found.at(found.values + 0.5 * np.eye(found.values.size)[-1])
+    squares = squares_left([plain], found)
+    # half of its standard uncertainty is all that it costs, but for the rounding of the sum
+    assert squares_left([plain], moved) - squares == pytest.approx(0.25, abs=1e-12 * squares)
+    products = information_rows([plain], found)[:, -2]
+    assert products @ products == pytest.approx(1.0)  # and what is known of it beforehand is all that tells it
+    assert squares_left([other], moved) != pytest.approx(squares_left([other], found) + 0.25, abs=1e-3)
 
 
 def test_two_records_tell_more_than_one(rng):
