@@ -192,8 +192,10 @@ def test_a_single_reading_of_the_force_that_stands_out_is_no_tap(rng):
     assert found.doubts == ()
 
 
-def test_a_recording_that_begins_while_the_hammer_pushes_gives_its_ringing(rng):
-    one = Tapping(ONE, np.array([1.0]), (Blow(0.2, 2000.0, 0.004),), Hammer(noise=1.0), np.array([2.0]), rate=5000.0)
+@pytest.mark.parametrize("limit", [np.inf, 1500.0], ids=["", "at its limit"])
+def test_a_recording_that_begins_while_the_hammer_pushes_gives_its_ringing(limit, rng):
+    hammer = Hammer(noise=1.0, limit=limit)
+    one = Tapping(ONE, np.array([1.0]), (Blow(0.2, 2000.0, 0.004),), hammer, np.array([2.0]), rate=5000.0)
     whole = one.record(1.7, rng)
     found = _one(whole.part(round(0.202 * 5000), whole.samples))  # at the peak
     assert [tap.used for tap in found.taps.taps] == ["ringing"]
