@@ -301,6 +301,35 @@ def test_ringing_without_its_release_tells_the_modes_with_true_uncertainties(rng
     assert chi2.ppf(NEVER / 2, 8) < errors_over_u(found.dynamics, true) < chi2.isf(NEVER / 2, 8)
 
 
+def cut_off(dynamics: CoupledDynamics, rng: np.random.Generator, readings: int) -> list[Recording]:
+    """Releases that are recorded for so many readings from 0.06 s on, by which all are let go."""
+    last = round(0.06 * RATE) + readings
+    return [
+        Recording.from_columns(
+            one.time[:last],
+            {name: replace(one.channel(name), values=one.channel(name).values[:last]) for name in NAMES},
+            name=one.name,
+        )
+        for one in recordings(dynamics, rng)
+    ]
+
+
+def test_releases_of_a_few_periods_have_true_uncertainties(rng):
+    found = quietly(cut_off(rigid(), rng, 100))  # 3.6 periods of the slower mode
+    assert found.dynamics.internal == 0
+    assert errors_over_u(found.dynamics, rigid()) < chi2.isf(NEVER, 8)
+
+
+def test_releases_that_end_at_once_are_refused(rng):
+    with pytest.raises(FitError, match="no 2 modes explain the decays"):
+        quietly(cut_off(rigid(), rng, 5))
+
+
+def test_more_modes_than_there_are_are_refused(rng):
+    with pytest.raises(FitError, match=r"above the noise|does not settle|no 5 modes explain"):
+        quietly(cut_off(rigid(), rng, 60), modes=5)
+
+
 def test_what_grows_is_no_free_decay():
     """From 1 to e^150 within the record: a guess that grows by more than e^100 is made by rounding, and not taken."""
     time = np.arange(600) / RATE
