@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import warnings
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,6 +32,8 @@ from aerobalance.recording.recording import Recording
 from faults.cases import Case, all_cases
 from faults.scene import FREQUENCY
 from faults.trials import recording_of, scores, worked_out
+from helpers.coupled_pair import NOISE, pair
+from helpers.coupled_pair import recording_of as recording_of_pair
 from seeds import trials
 
 CASES = {case.name: case for case in all_cases()}
@@ -416,3 +419,16 @@ def test_a_resonance_above_half_the_rate_tells_no_change(rng):
     assert found.natural_frequency == pytest.approx(1e5)
     assert found.frequency is None
     assert found.damping is None
+
+
+@pytest.mark.parametrize(("count", "held"), [(600, True), (64, False)], ids=["a channel that stands still", "short"])
+def test_components_that_do_not_ring_together_tell_no_change(count, held, rng):
+    """One that never changes rings with none; in 16 ms there is no ordinate about modes of 60 and 170 Hz."""
+    loads = NOISE * rng.normal(size=(count, 2))
+    loads[:, 0] = np.where(held, 3.0, loads[:, 0])
+    dynamics = replace(pair(), mass=None)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)
+        found = resonance_changes(estimate_force(recording_of_pair(loads), dynamics))
+    assert [one.natural_frequency for one in found] == [mode.natural_frequency for mode in dynamics.modes]
+    assert all(one.frequency is None and one.damping is None for one in found)
