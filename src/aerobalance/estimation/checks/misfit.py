@@ -61,6 +61,11 @@ class MisfitSettings:
     peaked, beside
         Density of the color of a noise at a mode over that beside it, so far away over its frequency on either side,
         from which on the color is the mode's: the edge of a band has its level on one side.
+    periods
+        Periods in the window through which a free oscillation is seen: four-term Blackman-Harris, which passes a
+        hundred-thousandth of a load beyond a third of the natural frequency away.
+    decayed
+        Time constants up to which it is.
     """
 
     drift: float = 5.0
@@ -74,6 +79,8 @@ class MisfitSettings:
     beyond: float = 1e3
     peaked: float = 3.0
     beside: float = 0.1
+    periods: float = 12.0
+    decayed: float = 5.0
 
 
 SETTINGS: Final = MisfitSettings()
@@ -320,11 +327,32 @@ def unbroken(
 
 def without_steps(reading: Observation, steps: Sequence[Step]) -> Array:
     """Reading less the mean, the steps and the free oscillation from its begin that explain it best, shape (n,)."""
-    time = np.arange(reading.values.size, dtype=np.float64) * reading.interval
-    oscillations = [part for mode in reading.dynamics.modes for part in free_motions(mode, time)]
-    columns = np.column_stack([columns_of(list(steps), reading), *oscillations])
-    sizes, *_ = np.linalg.lstsq(columns, reading.values, rcond=None)
-    return np.asarray(reading.values - columns @ sizes)
+    values, columns = reading.values, columns_of(list(steps), reading)
+    time = np.arange(values.size, dtype=np.float64) * reading.interval
+    motions = np.column_stack([part for mode in reading.dynamics.modes for part in free_motions(mode, time)])
+    # by what is near the natural frequencies alone: of a load elsewhere least squares would make a ringing
+    every = np.column_stack([motions, columns, values])
+    near = np.concatenate([_near(every, mode, reading.interval) for mode in reading.dynamics.modes])
+    if len(near) >= every.shape[1]:  # else a record of a few periods, in which nothing has decayed
+        sizes, *_ = np.linalg.lstsq(near[:, :-1], near[:, -1], rcond=None)
+        values = values - motions @ sizes[: motions.shape[1]]
+    sizes, *_ = np.linalg.lstsq(columns, values, rcond=None)
+    return np.asarray(values - columns @ sizes)
+
+
+def _near(columns: Array, mode: Mode, interval: float) -> Array:
+    """What columns, shape (n, k), have near the natural frequency of a mode while it decays, shape (m, k)."""
+    count = round(SETTINGS.periods / (mode.natural_frequency * interval))
+    if not 4 <= count <= len(columns):
+        return np.zeros((0, columns.shape[1]))
+    decay = mode.damping_ratio * 2 * np.pi * mode.natural_frequency * interval
+    last = len(columns) - count + 1 if decay == 0 else min(len(columns) - count, int(SETTINGS.decayed / decay)) + 1
+    place = 2 * np.pi * np.outer((np.arange(count) + 0.5) / count, np.arange(4))
+    window = np.cos(place) @ np.array([0.35875, -0.48829, 0.14128, -0.01168])
+    turn = np.exp(-2j * np.pi * mode.natural_frequency * interval * np.arange(count))
+    windows = np.lib.stride_tricks.sliding_window_view(columns, count, axis=0)[: last : max(count // 4, 1)]
+    seen = windows @ (window * turn)
+    return np.concatenate([seen.real, seen.imag])
 
 
 def _without_tones(values: Array) -> Array:

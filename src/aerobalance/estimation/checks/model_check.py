@@ -80,8 +80,8 @@ def checked(force: Force) -> Force:
             own = one.dynamics
             one = one if found_motion is None else one.with_motion(found_motion)
             kinds = {doubt.kind for doubt in force[name].doubts}
-            if "resolution" in kinds:
-                continue  # what rounding makes of a load swings at multiples of it
+            if kinds & {"resolution", "too many steps"}:
+                continue  # what rounding makes of a load swings at multiples of it, and so does a square wave
             misfit = misfit_of(one, **known_of_one(name))
             if "colored noise" in kinds:
                 misfit = replace(misfit, silent=False)  # noise does not ring
