@@ -153,7 +153,10 @@ def test_a_minute_of_a_square_wave(record, rng) -> None:
     inside = slice(1600, -1600)
     with pytest.warns(DataQualityWarning, match="too many for a record of this length"):
         error = rms_of([(estimate_force(run, T128).only.values - force)[inside]])
-    rivals = [estimate_force(run, T128, bandwidth=b).only.values for b in (200.0, 250.0, 300.0, 350.0, 400.0)]
+    with warnings.catch_warnings():
+        # a spectrum of lines looks like another resonance, or none, where no steps are looked for
+        warnings.filterwarnings("ignore", ".* (another natural frequency|does not ring)", DataQualityWarning)
+        rivals = [estimate_force(run, T128, bandwidth=b).only.values for b in (200.0, 250.0, 300.0, 350.0, 400.0)]
     best = min(rms_of([(values - force)[inside]]) for values in rivals)
     record("error of the best band-limited inverse over this one's, a minute of a square wave", best / error, 1.0)
     assert error < best

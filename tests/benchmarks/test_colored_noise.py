@@ -86,6 +86,7 @@ def test_step_beside_one_over_f(record, rng) -> None:
     assert rms_of(errors) < 0.4
 
 
+@pytest.mark.filterwarnings("ignore:.* too faint to be told from noise")  # of a noise, and it counts
 def test_no_step_is_found_in_one_over_f(record, rng) -> None:
     steps = 0
     for _ in range(100):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from scipy.signal import lfilter
 
 from aerobalance.dynamics.coupled import CoupledDynamics
@@ -34,6 +35,7 @@ def test_the_right_dynamics_are_not_doubted() -> None:
     assert found.doubts == (), f"seed {entropy}"
 
 
+@pytest.mark.filterwarnings("ignore:.* which is no mode of the dynamics")
 def test_a_mode_beyond_the_six_is_named() -> None:
     """A bending mode at 760 Hz rings in NF and PM with a tenth of the balance load."""
     recording, dynamics, generator, entropy = _record()
