@@ -104,6 +104,9 @@ class ResonanceSettings:
 SETTINGS: Final = ResonanceSettings()
 """Settings that are used."""
 
+MOVED: Final = ("natural frequency", "damping ratio")
+"""Kinds of dynamics with as many modes as are known: the same free oscillation tells against either."""
+
 
 class Spoken(NamedTuple):
     """The dynamics that a record speaks for, and how clearly.
@@ -188,7 +191,7 @@ def spoken_for(
         ]
         if with_steps[0] > max(*with_steps[1:], evidence.of(clear.dynamics)) + SETTINGS.by_steps:
             clear = None
-    elif clear is not None and clear.kind != "no resonance" and beside_steps is not None:
+    elif clear is not None and clear.kind in MOVED and beside_steps is not None:
         gain = _gain_beside(evidence, dynamics, clear.dynamics, beside_steps) - _price(clear.kind, evidence)
         if clear.probability == 1 and gain < SETTINGS.decisive:
             clear = None
