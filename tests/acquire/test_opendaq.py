@@ -23,7 +23,7 @@ from aerobalance.io import read
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import read_blocks
 from aerobalance.recording.errors import DataQualityWarning, FitError
-from helpers.at_work import end_by_sigterm, follow, gone, library_of, lost_by_a_kill
+from helpers.at_work import children, end_by_sigterm, follow, gone, library_of, lost_by_a_kill
 from helpers.devices import RIG, Server, free_port
 from helpers.worker import crash
 
@@ -172,11 +172,13 @@ def test_library_that_hangs_is_started_again_and_the_gap_has_its_exact_length(mo
     port = free_port()
     with Server(SERVER, port, 25_000) as server:
         server.listen()
+        others = children(os.getpid())
         source = LibraryProcess(partial(OpendaqSource, f"daq.nd://127.0.0.1:{port}"))
         try:
+            (library,) = set(children(os.getpid())) - set(others)
             source.start()
             before = take(source, lambda block: block.samples.size)
-            os.kill(source.process_id, signal.SIGSTOP)
+            os.kill(library, signal.SIGSTOP)
             after = take(source, lambda block: block.remark)
         finally:
             source.stop()

@@ -35,7 +35,7 @@ CRASHES_WITHIN: Final = 30.0
 """Time within which they are counted [s]."""
 
 SILENT: Final = 30.0
-"""Time without a sign of life from which on the library hangs [s]: longer than an attempt to connect takes."""
+"""Time without a sign of life from which on the library is taken to hang [s]."""
 
 _LEAVING: Final = 0.5
 _TICK: Final = 0.1
@@ -104,11 +104,6 @@ class LibraryProcess(Device):
             raise answer if isinstance(answer, Exception) else crashed
         self.channels, self.rate, self.description = answer
 
-    @property
-    def process_id(self) -> int:
-        """Number of the process of the library."""
-        return self._child.number
-
     def start(self) -> None:
         """Begin to read; a device that refuses ends the next reading."""
         self._started, self._heard = True, time.monotonic()
@@ -173,11 +168,6 @@ class _Child:
         self._said: queue.SimpleQueue[_Said] = queue.SimpleQueue()
         threading.Thread(target=self._hear, daemon=True).start()
         self._tell(pickle.dumps((make, memory)))
-
-    @property
-    def number(self) -> int:
-        """Number of the process."""
-        return self._process.pid
 
     def take(self, timeout: float | None) -> _Said:
         """Return what it says next; None where it is gone without a word.
