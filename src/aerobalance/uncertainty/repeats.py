@@ -8,6 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from aerobalance.recording.channel import Array
+
 
 @dataclass(frozen=True, slots=True)
 class Scatter:
@@ -101,6 +103,32 @@ def pooled(groups: Sequence[Scatter]) -> Pooled | None:
     # the variance of the sum of the measured squares, of which each group's is 2 f e^4
     freedom = expected**2 / sum(one.freedom * one.expected**4 for one in groups)
     return Pooled(sum(one.freedom * one.deviation**2 for one in groups) / expected, freedom)
+
+
+def correlation_of_repeats(groups: Sequence[Array]) -> Array:
+    """Return correlation coefficients of the deviations of results from the means of their repeats [1], shape (n, n).
+
+    Their signs are left out.
+
+    Parameters
+    ----------
+    groups
+        Results of each group of repeats, NaN where a run has none, shape (runs, n) each.
+    """
+    products = np.zeros((groups[0].shape[1],) * 2)
+    freedom = np.zeros_like(products)
+    for values in groups:
+        there = np.isfinite(values)
+        means = np.where(there, values, 0.0).sum(axis=0) / np.maximum(there.sum(axis=0), 1)
+        off = np.where(there, values - means, 0.0)
+        products += off.T @ off
+        freedom += np.maximum(there.T.astype(np.float64) @ there - 1, 0.0)
+    scale = np.sqrt(np.diag(products))
+    square = np.square(products) / np.square(np.outer(scale, scale) + np.finfo(float).tiny)
+    # the square of an estimate from f degrees of freedom is on average larger than that of what it estimates
+    square = np.clip((freedom * square - 1) / np.maximum(freedom - 1, 1), 0.0, 1.0)
+    np.fill_diagonal(square, 1.0)
+    return np.asarray(np.sqrt(square))
 
 
 def pooled_results(results: Sequence[Pooled], correlation: ArrayLike) -> Pooled:

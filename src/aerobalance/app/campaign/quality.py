@@ -13,7 +13,14 @@ from aerobalance.app.campaign.definition import Repeats
 from aerobalance.app.campaign.rows import ASIDE, REDUCED, with_unit
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, si_unit
-from aerobalance.uncertainty.repeats import Pooled, Scatter, pooled, pooled_results, trend
+from aerobalance.uncertainty.repeats import (
+    Pooled,
+    Scatter,
+    correlation_of_repeats,
+    pooled,
+    pooled_results,
+    trend,
+)
 
 COEFFICIENTS: Final = ("CL", "CD", "CPM", "CY", "CYM", "CRM")
 """Coefficients that are looked at, where there are any."""
@@ -142,7 +149,7 @@ def quality_of(rows: Sequence[Mapping[str, Any]], rules: Repeats) -> Quality:
     together = {name: found for name, groups in by_name.items() if (found := pooled(groups))}
     if together:
         flags += _scatter(together)
-        correlation = _correlation(list(together), [group for _, group in groups])
+        correlation = correlation_of_repeats([_values(list(together), group) for _, group in groups])
         together["all"] = pooled_results(list(together.values()), correlation)
     return Quality(tuple(repeats), together, tuple(flags))
 
@@ -207,22 +214,9 @@ def _difference(name: str, one: Mapping[str, Any], other: Mapping[str, Any]) -> 
     return float(max(total, 0.0))
 
 
-def _correlation(names: Sequence[str], groups: Iterable[Sequence[Mapping[str, Any]]]) -> Array:
-    """Correlation coefficients of the deviations of results from the means of their repeats, shape (n, n)."""
-    products, freedom = np.zeros((len(names), len(names))), np.zeros((len(names), len(names)))
-    for group in groups:
-        values = np.array([[np.nan if row.get(name) is None else row[name] for name in names] for row in group], float)
-        there = np.isfinite(values)
-        if len(values) > 1:
-            off = np.where(there, values - np.where(there, values, 0.0).sum(0) / np.maximum(there.sum(0), 1), 0.0)
-            products += off.T @ off
-            freedom += np.maximum(there.T.astype(float) @ there - 1, 0.0)
-    scale = np.sqrt(np.diag(products))
-    found = np.square(products) / np.square(np.outer(scale, scale) + np.finfo(float).tiny)
-    # the square of an estimate from f degrees of freedom is on average larger than that of what it estimates
-    found = np.clip((freedom * found - 1) / np.maximum(freedom - 1, 1), 0.0, 1.0)
-    np.fill_diagonal(found, 1.0)
-    return np.sqrt(found)
+def _values(names: Sequence[str], group: Iterable[Mapping[str, Any]]) -> Array:
+    """Results of repeats, NaN where a run has none, shape (runs, results)."""
+    return np.array([[np.nan if row.get(name) is None else row[name] for name in names] for row in group], float)
 
 
 def _scatter(found: Mapping[str, Pooled]) -> list[Flag]:
