@@ -62,8 +62,8 @@ class MisfitSettings:
         Density of the color of a noise at a mode over that beside it, so far away over its frequency on either side,
         from which on the color is the mode's: the edge of a band has its level on one side.
     periods
-        Periods in the window through which a free oscillation is seen: four-term Blackman-Harris, which passes a
-        hundred-thousandth of a load beyond a third of the natural frequency away.
+        Periods in the window through which a free oscillation is seen: four terms of Harris (Proc. IEEE 66 (1978) 51),
+        of which a load more than a third of the natural frequency away passes 92 dB down.
     decayed
         Time constants up to which it is.
     """
