@@ -176,7 +176,9 @@ def test_what_is_left_is_as_noisy_as_said(rng) -> None:
             assert ratio > 0.1, f"{name}, {low}-{high} Hz"
 
 
-def test_wrong_matrices_are_counted_in_all_rows_that_have_a_part(rng, seed) -> None:
+@pytest.fixture
+def two_with_shared_noise(rng) -> tuple[Recording, CoupledDynamics]:
+    """Two coupled components whose noise is shared, and dynamics that are known to 0.02 % and 2 %."""
     w, unit = 2 * np.pi * np.array([300.0, 80.0]), np.outer([1000.0, 50.0], [1 / 1000, 1 / 50])
     inertia = np.array([[1.0, rng.uniform(1, 2)], [rng.uniform(-0.2, 0.2), 1.0]]) / np.outer(w, w) * unit
     damping = np.array([[0.03, 0.01], [0.01, 0.05]]) / np.sqrt(np.outer(w, w)) * unit
@@ -189,14 +191,29 @@ def test_wrong_matrices_are_counted_in_all_rows_that_have_a_part(rng, seed) -> N
     channels = {
         name: Channel(name, column, si_unit(name)) for name, column in zip(("NF", "PM"), (felt + noise).T, strict=True)
     }
-    recording = Recording.from_columns(time[::4], channels)
-    found = estimate_force(recording, known, hum="keep")
+    return Recording.from_columns(time[::4], channels), known
+
+
+def test_wrong_matrices_are_counted_in_all_rows_that_have_a_part(two_with_shared_noise, seed) -> None:
+    found = estimate_force(*two_with_shared_noise, hum="keep")
     assert found["NF"].shared is not None
     part = next(part for part in found["NF"].contributions if part.source == "dynamics")
     # every draw decouples the record anew; the eight numbers drawn have their covariance but for 24 of 25
     checked = monte_carlo(found, draws=25, seed=int(seed % 2**32))["NF"]
     drawn = next(row for row in checked.contributions if row.name == part.name)
     assert drawn.ratio == pytest.approx(np.sqrt(24 / 25), rel=0.03)
+
+
+def test_one_row_may_be_known_exactly(two_with_shared_noise) -> None:
+    recording, known = two_with_shared_noise
+    own_row = np.tile([1.0, 1.0, 0.0, 0.0], 2)
+    known = replace(known, covariance=known.covariance * np.outer(own_row, own_row))
+    found = estimate_force(recording, known, hum="keep")
+    assert found["NF"].shared is not None
+    part = "inertia, damping and mass"
+    assert found["NF"].budget[part] > 0
+    assert found["PM"].shared is not None
+    assert found["PM"].budget[part] > 0  # by the noise that the row of NF predicts
 
 
 def test_nothing_is_improved_beside_gaps_and_ends(rng) -> None:

@@ -105,6 +105,8 @@ class SharedNoise:
 
     def slopes(self, series: Array, other: int) -> Array:
         """Change of the noise taken off with series that one of the others reads, both of shape (samples, k)."""
+        if not series.shape[1]:
+            return np.zeros_like(series)
         weights = self.weights[:, [self.others.index(other)]]
         return np.column_stack([filtered(weights, column[:, None]) for column in series.T])
 
