@@ -240,7 +240,7 @@ def misfit_of(
     if found.missing is not None and learned is not None and _looks_alike(found.missing, learned, reading.interval):
         found = replace(found, missing=None, size=None)
     if within and learned is not None:
-        change, covariance = change_by_steps(reading, within, learned)
+        change, covariance, gain = change_by_steps(reading, within, learned)
         both = [
             _if_changed(float(one), float(np.hypot(np.sqrt(variance), dynamics.uncertainty(name) / own)))
             for one, variance, name, own in zip(
@@ -251,7 +251,7 @@ def misfit_of(
                 strict=True,
             )
         ]
-        if any(both):
+        if any(both) and gain > SETTINGS.drift**2:
             found = replace(found, frequency=both[0], damping=both[1])
     possible = None if spoken is None or found.changed else spoken
     return replace(found, possible=possible)
