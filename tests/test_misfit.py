@@ -126,6 +126,26 @@ def test_a_missing_mode_is_named_under_a_broadband_load(rng):
     assert 0 < u_share < 0.5 * mode.share
 
 
+def test_the_edge_of_a_load_beside_a_missing_mode_does_not_bend_it(rng):
+    """The load ends at 300 Hz, within the band about the mode in which its spectrum is taken for a power of frequency.
+
+    Seen without that edge, the share had its sign wrong and 200 of its uncertainties beside the truth.
+    """
+    for _ in range(trials(4, 16)):
+        mode = Mode(rng.uniform(240, 280), 0.008, rng.choice([-0.08, -0.05, 0.05, 0.08]))
+        setting = {"dynamics": BARE.with_modes(mode), "rate": RATE, "rms": 60.0, "noise": 2.0, "seconds": 10.0}
+        recording, _ = smooth_run(rng, SHARP["0-300 Hz"], **setting)
+        found = missing_mode(averaged(recording.channel("AF").values), BARE)
+        assert found is not None
+        # at five standard uncertainties once in a million
+        assert abs(found.mode.natural_frequency - mode.natural_frequency) < 5 * found.u_frequency
+        # what is certain of a share is its logarithm, unless the other sign is as likely
+        relative = found.u_share / abs(found.mode.share)
+        same = found.mode.share / mode.share
+        assert abs(found.mode.share - mode.share) < 5 * found.u_share or abs(np.log(max(same, 1e-9))) < 5 * relative
+        assert found.u_frequency < 0.01 * mode.natural_frequency
+
+
 def test_a_smooth_load_shows_no_mode_and_no_change(rng):
     seen = averaged(shaken(BARE, rng).channel("AF").values)
     assert missing_mode(seen, BARE) is None

@@ -15,7 +15,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -178,67 +177,125 @@ def missing_mode(seen: Averaged, dynamics: ModalModel) -> MissingMode | None:
         if band.size < 16:
             continue
         plain = _fit(seen, band, lambda _, f: _power(dynamics, f), start=np.zeros(0), scale=np.zeros(0))
-        found, mode = _further_mode(seen, band, dynamics, centre)
-        gain = found.twice_log_likelihood - plain.twice_log_likelihood
+        start = np.log([centre, SETTINGS.likely, SETTINGS.share])
+        either = [_further_mode(seen, band, dynamics, start, sign=sign) for sign in (1, -1)]
+        edge = _edge(seen, band, dynamics, max(either, key=_likelihood).mode)
+        price = 2 * np.log(band.size)  # Schwarz's, of the two numbers of an edge, which is no fault
+        if edge.twice_log_likelihood - plain.twice_log_likelihood > price:
+            # a mode alone would bend to an edge as well, and its share be another
+            edges = [edge.point, *_steepest(seen, band, dynamics, beside=centre)]
+            beside = [
+                max(
+                    (_further_mode(seen, band, dynamics, start, sign=sign, edge=one) for one in edges), key=_likelihood
+                )
+                for sign in (1, -1)
+            ]
+            if max(map(_likelihood, beside)) - max(map(_likelihood, either)) > price:
+                either = beside
+        found = max(either, key=_likelihood)
+        mode = found.mode
         width = 2 * mode.damping_ratio * mode.natural_frequency
         inside = abs(mode.natural_frequency / centre - 1) < SETTINGS.band / 2
         if (
-            gain > SETTINGS.evidence
+            _likelihood(found) - max(plain.twice_log_likelihood, edge.twice_log_likelihood) > SETTINGS.evidence
             and mode.damping_ratio < SETTINGS.heaviest
             and width > seen.resolution
             and inside
-            and found.twice_log_likelihood - _edge(seen, band, dynamics, mode) > SETTINGS.evidence
         ):
-            relative = np.sqrt(np.diag(found.covariance))  # of the logarithms
-            return MissingMode(mode, float(relative[0]) * mode.natural_frequency, float(relative[2]) * abs(mode.share))
+            return _with_either_sign(found, min(either, key=_likelihood))
     return None
 
 
-def _further_mode(
-    seen: Averaged, band: NDArray[np.intp], dynamics: ModalModel, centre: float
-) -> tuple[_LocalFit, Mode]:
-    """The likeliest fit with a further mode near a frequency [Hz], and the mode, whose share may have either sign."""
+class _FurtherMode(NamedTuple):
+    """The likeliest fit with a further mode, whose parameters come first, and that mode."""
 
-    def mode_at(sign: int, point: Array) -> Mode:
-        f, ratio, share = np.exp(point)
+    fit: _LocalFit
+    mode: Mode
+
+    @property
+    def variance(self) -> Array:
+        """Variances of the natural frequency [Hz^2] and of the share [1], shape (2,)."""
+        size = np.array([self.mode.natural_frequency, self.mode.share])
+        return np.asarray(np.diag(self.fit.covariance)[[0, 2]] * size**2)  # the fit's are of the logarithms
+
+
+def _likelihood(found: _FurtherMode) -> float:
+    return found.fit.twice_log_likelihood
+
+
+def _with_either_sign(found: _FurtherMode, other: _FurtherMode) -> MissingMode:
+    """The likelier mode; the other sign of the share counts in the uncertainties by its probability."""
+    probability = np.exp(-np.logaddexp(0, (_likelihood(found) - _likelihood(other)) / 2))
+    apart = np.array(
+        [other.mode.natural_frequency - found.mode.natural_frequency, other.mode.share - found.mode.share]
+    )
+    u = np.sqrt((1 - probability) * found.variance + probability * (other.variance + apart**2))
+    return MissingMode(found.mode, float(u[0]), float(u[1]))
+
+
+def _further_mode(
+    seen: Averaged, band: NDArray[np.intp], dynamics: ModalModel, start: Array, *, sign: int, edge: Array | None = None
+) -> _FurtherMode:
+    """The likeliest fit with a further mode whose share has a sign, under a load with or without an edge.
+
+    `start` has the logarithms of natural frequency [Hz], damping ratio and size of the share; `edge` the frequency of
+    an edge of the load [Hz] and its change of the logarithm there.
+    """
+    scale = np.array([0.2 * SETTINGS.likely, 0.3, 0.5])
+
+    def mode_at(point: Array) -> Mode:
+        f, ratio, share = np.exp(point[:3])
         return Mode(float(f), float(ratio), float(sign * share))
 
-    def bent(sign: int, point: Array, frequency: Array) -> Array:
-        return _power(dynamics.with_modes(*dynamics.further_modes, mode_at(sign, point)), frequency)
+    def bent(point: Array, frequency: Array) -> Array:
+        power = _power(dynamics.with_modes(*dynamics.further_modes, mode_at(point)), frequency)
+        return power if edge is None else power * _edge_factor(seen, point[3:], frequency)
 
-    found = []
-    start = np.log([centre, SETTINGS.likely, SETTINGS.share])
-    for sign in (1, -1):
-        fit = _fit(seen, band, partial(bent, sign), start=start, scale=np.array([0.2 * SETTINGS.likely, 0.3, 0.5]))
-        found.append((fit, mode_at(sign, fit.point)))
-    return max(found, key=lambda pair: pair[0].twice_log_likelihood)
+    if edge is not None:
+        start, scale = np.concatenate([start, edge]), np.concatenate([scale, _edge_scale(seen)])
+    fit = _fit(seen, band, bent, start=start, scale=scale)
+    return _FurtherMode(fit, mode_at(fit.point))
 
 
-def _edge(seen: Averaged, band: NDArray[np.intp], dynamics: ModalModel, mode: Mode) -> float:
-    """Twice the log-likelihood of a load that ends or begins near a mode, at its best."""
-    smooth = seen.resolution / 2
+def _edge(seen: Averaged, band: NDArray[np.intp], dynamics: ModalModel, mode: Mode) -> _LocalFit:
+    """The likeliest fit with a load that ends or begins within the band: the edge's frequency [Hz] and its change."""
 
     def ending(point: Array, frequency: Array) -> Array:
-        away = np.clip((frequency - point[0]) / smooth, -30, 30)
-        return np.asarray(_power(dynamics, frequency) * np.exp(point[1] / (1 + np.exp(-away))))
+        return _power(dynamics, frequency) * _edge_factor(seen, point, frequency)
 
-    scale = np.array([2 * seen.resolution, 1.0])
     starts = [np.array([mode.natural_frequency, drop]) for drop in SETTINGS.drops]
     starts += _steepest(seen, band, dynamics)
-    return max(_fit(seen, band, ending, start=start, scale=scale).twice_log_likelihood for start in starts)
+    fits = [_fit(seen, band, ending, start=start, scale=_edge_scale(seen)) for start in starts]
+    return max(fits, key=lambda fit: fit.twice_log_likelihood)
 
 
-def _steepest(seen: Averaged, band: NDArray[np.intp], dynamics: ModalModel) -> list[Array]:
-    """Frequencies [Hz] at which the load's spectrum falls and rises most, and the changes of its logarithm there."""
+def _edge_factor(seen: Averaged, point: Array, frequency: Array) -> Array:
+    """What an edge at a frequency [Hz] multiplies the load's spectrum by, at its change of the logarithm [1]."""
+    away = np.clip((frequency - point[0]) / (seen.resolution / 2), -30, 30)
+    return np.asarray(np.exp(np.clip(point[1], -30, 30) / (1 + np.exp(-away))))
+
+
+def _edge_scale(seen: Averaged) -> Array:
+    """Sizes of a step of the search for an edge: of its frequency [Hz] and of its change."""
+    return np.array([2 * seen.resolution, 1.0])
+
+
+def _steepest(seen: Averaged, band: NDArray[np.intp], dynamics: ModalModel, *, beside: float = -np.inf) -> list[Array]:
+    """Frequencies [Hz] at which the load's spectrum falls and rises most, and the changes of its logarithm there.
+
+    Those beside a frequency [Hz] are apart from what a resonance there makes of the load.
+    """
     level = np.log(np.maximum(seen.power[band] / _power(dynamics, seen.frequency[band]), 1e-300))
     total = np.concatenate([[0.0], np.cumsum(level)])
-    means = (total[SETTINGS.reach :] - total[: -SETTINGS.reach]) / SETTINGS.reach
-    change = means[SETTINGS.reach :] - means[: -SETTINGS.reach]  # between neighbours of so many ordinates
-    if not change.size:
+    # between neighbours of so many ordinates, and near the ends of the band of what there is up to the end
+    places = np.arange(SETTINGS.reach // 4, level.size - SETTINGS.reach // 4)
+    if places.size < SETTINGS.reach:
         return []
-    places = (int(np.argmin(change)), int(np.argmax(change)))
+    before, behind = np.minimum(places, SETTINGS.reach), np.minimum(level.size - places, SETTINGS.reach)
+    change = (total[places + behind] - total[places]) / behind - (total[places] - total[places - before]) / before
     between = seen.frequency[band] - seen.resolution / 2
-    return [np.array([between[place + SETTINGS.reach], change[place]]) for place in places]
+    change[np.abs(between[places] - beside) < 2 * SETTINGS.reach * seen.resolution] = 0.0
+    return [np.array([between[places[one]], change[one]]) for one in (np.argmin(change), np.argmax(change))]
 
 
 def _power(dynamics: ModalModel, frequency: Array) -> Array:
