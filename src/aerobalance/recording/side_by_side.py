@@ -50,7 +50,7 @@ def side_by_side(work: Callable[[Given], Result], given: Iterable[Given], *, wha
     """
 
     def done(one: Given) -> tuple[Result, list[str]]:
-        with kept_warnings() as said:
+        with kept_warnings() as said, one_after_the_other():  # all threads are at work
             return work(one), said
 
     every = list(given)

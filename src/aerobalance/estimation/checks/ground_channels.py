@@ -24,6 +24,7 @@ from aerobalance.estimation.checks.ground_witnesses import SETTINGS, ChannelShap
 from aerobalance.estimation.checks.white_readings import Lines, Solved, White, length_of
 from aerobalance.recording.channel import Array
 from aerobalance.recording.resampling import fractional_delay
+from aerobalance.recording.side_by_side import side_by_side
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,20 +70,21 @@ def ground_faults(asked: Witnesses) -> dict[str, list[GroundFault]]:
         Components whose loads are asked together.
     """
     white = White.of(asked, [one.fit.filter for one in asked.all])
-    suspects: list[ChannelShapes] = []
-    lateness: list[tuple[Far, ChannelShapes]] = []
-    for name in asked.changes.channels:
+
+    def looked_at(name: str) -> tuple[ChannelShapes | None, tuple[Far, ChannelShapes] | None]:
+        """Shapes of a channel that shows, and a delay of it that may be larger than slopes tell."""
         shapes = asked.shapes_of(name)
         if shapes is None:
-            continue
+            return None, None
         columns = white.with_drift(shapes.felt)
-        if white.solved(columns).explained > SETTINGS.worth_a_look:
-            suspects.append(asked.with_drift(shapes))
+        shows = white.solved(columns).explained > SETTINGS.worth_a_look
         hint = Far.of(white, columns[..., 1], samples=asked.recording.samples, pace=shapes.pace)
-        if hint is not None and hint.gained < asked.promising(shapes.pace):
-            hint = None
-        if hint is not None:
-            lateness.append((hint, shapes))
+        late = hint is not None and hint.gained >= asked.promising(shapes.pace)
+        return asked.with_drift(shapes) if shows else None, (hint, shapes) if hint is not None and late else None
+
+    looks = side_by_side(looked_at, asked.changes.channels)
+    suspects = [shapes for shapes, _ in looks if shapes is not None]
+    lateness = [late for _, late in looks if late is not None]
     if lateness:
         hint, shapes = max(lateness, key=lambda one: one[0].gained)
         found = _far(asked, shapes, samples=hint.samples)

@@ -7,6 +7,7 @@ What it says of one component is found in `aerobalance.estimation.checks.misfit`
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import chain
 from typing import Any, Final
 
 import numpy as np
@@ -26,6 +27,7 @@ from aerobalance.estimation.result import ComponentForce, with_doubt, with_error
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import DOUBTED
+from aerobalance.recording.side_by_side import side_by_side
 
 DYNAMICS: Final = ("natural frequency", "damping ratio", "missing mode")
 """Kinds of doubt about the dynamics."""
@@ -69,7 +71,7 @@ def checked(force: Force) -> Force:
         parts |= {name: _named_only(part) for name, part in otherwise.items()}
         # what rings otherwise leaves peaks everywhere
         decoupled = {} if otherwise else record.component_records(filled)
-        peaks = [peak for name in decoupled for peak in peaks_of(decoupled[name], **known(name))]
+        peaks = list(chain(*side_by_side(lambda name: peaks_of(decoupled[name], **known(name)), decoupled)))
         turning = turning_by_angles(force.recording, record.dynamics, force)
         for doubt in [*peak_doubts(peaks, record.dynamics.modes), *turning]:
             part = parts[doubt.component]
