@@ -334,6 +334,27 @@ def test_a_changed_spring_is_found_where_the_load_hides_its_ringing(rng):
     assert np.sqrt(np.mean(z**2)) < 2
 
 
+def test_an_error_is_not_followed_into_frequencies_that_do_not_show():
+    """At a zero of the other response the force may be anything; elsewhere it is F (1 - G0 / G1)."""
+    other = BARE.with_modes(Mode(200.0, 0.008, -0.08))
+    time = np.arange(32_000) / RATE
+    within = slice(8000, 24_000)
+    frequencies = np.linspace(5, 500, 1981)
+    ratio = BARE.response(frequencies) / other.response(frequencies)
+
+    def size(frequency: float) -> float:
+        tone = np.sin(2 * np.pi * frequency * time)
+        return float(np.sqrt(2 * np.mean(error_under(tone, own=BARE, other=other, interval=1 / RATE)[within] ** 2)))
+
+    plain = frequencies[np.argmin(np.abs(np.abs(ratio) - 1.2))]
+    expected = abs(1 - np.interp(plain, frequencies, ratio))
+    # of a gain of 1.2 the inverse that is not followed beyond ten is 1.4 % less
+    assert size(plain) == pytest.approx(expected, abs=0.02 * 1.2)
+    hardly = frequencies[np.argmax(np.abs(ratio))]
+    assert np.max(np.abs(ratio)) > 20
+    assert size(hardly) < 1 + 5
+
+
 @pytest.mark.parametrize("probability", [0.001, 0.1, 0.8])
 def test_what_a_record_leaves_open_counts_by_its_probability(probability, monkeypatch, rng):
     """The variance of a force that is F with probability 1 - p and F + e with p, about F, is p e^2."""
