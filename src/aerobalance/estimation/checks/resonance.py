@@ -52,6 +52,8 @@ class ResonanceSettings:
     by_steps
         Gain of the expected dynamics with the steps that were found over other ones, from which on these are not
         believed. A missing mode that is taken for a slower release gives up to 23; a square wave 120 and more.
+    many
+        Steps from which on a resonance as narrow as a line of their spectrum is one, and no resonance.
     confirmed
         Gain of the dynamics over a balance that does not ring, from which it is certain that it rings near there.
     far, broad
@@ -86,6 +88,7 @@ class ResonanceSettings:
     open_far: float = 7.0
     open_far_half: float = 10.0
     by_steps: float = 50.0
+    many: int = 5
     confirmed: float = 25.0
     far: float = 0.1
     broad: float = 0.03
@@ -189,7 +192,10 @@ def spoken_for(
             _evidence_beside(evidence, beside_steps(one, some), one, some)
             for one, some in ((dynamics, steps), (clear.dynamics, steps), (clear.dynamics, largest))
         ]
-        if with_steps[0] > max(*with_steps[1:], evidence.of(clear.dynamics)) + SETTINGS.by_steps:
+        line = len(steps) >= SETTINGS.many and clear.kind in MOVED
+        if with_steps[0] > max(*with_steps[1:], evidence.of(clear.dynamics)) + SETTINGS.by_steps or (
+            line and _is_line(clear.dynamics.modes[0], evidence, width=SETTINGS.line_beside)
+        ):
             clear = None
     elif clear is not None and clear.kind in MOVED and beside_steps is not None:
         gain = _gain_beside(evidence, dynamics, clear.dynamics, beside_steps) - _price(clear.kind, evidence)
