@@ -232,6 +232,8 @@ def lasts(left: Array, *, first: float, interval: float, noise: float, last: flo
     transform = np.fft.rfft((left - left.mean()) * taper)
     frequency = np.fft.rfftfreq(left.size, interval)
     inside = (frequency >= first) & (frequency <= last)
+    if not inside.any():  # narrower than the record tells frequencies apart
+        inside[np.argmin(np.abs(frequency - first))] = True
     high = np.fft.irfft(np.where(inside, transform, 0.0), left.size)
     inner = slice(1, -1)  # the taper leaves nothing of the first and the last part
     squares, weights = (np.array_split(part**2, BLOCKS)[inner] for part in (high, taper))
