@@ -24,6 +24,7 @@ def test_bands_make_up_the_whole(rng):
     assert np.sqrt(sum(one.rms**2 for one in levels[:3])) == pytest.approx(rms, rel=0.1)
 
 
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")  # the dynamics are others
 def test_stiffness_and_damping_are_told_by_each_record(rng):
     # k = M w^2 and b = 2 M z w: a balance whose stiffness is 2 % higher, and its damping 1.5 times as large
     known = spring()

@@ -67,6 +67,7 @@ def test_step_beside_one_over_f(rng):
     assert found.learned.color is not None
 
 
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")  # one in fifty, as below
 def test_uncertainty_is_that_of_the_true_noise(rng):
     """The rms error under a load of a broad band, over the uncertainty that was said."""
     inner, ratios = slice(N // 20, -N // 20), []

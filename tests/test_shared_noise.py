@@ -173,7 +173,8 @@ def test_what_is_left_is_as_noisy_as_said(rng) -> None:
             ratio = float(np.mean(power[band]) / np.mean(said[band]))
             # at most what is said, as what may be there unseen is not; beside the scatter of some 350 ordinates
             assert ratio < 1.3, f"{name}, {low}-{high} Hz"
-            assert ratio > 0.1, f"{name}, {low}-{high} Hz"
+            # and where forces that are not seen are most of it, a share that depends on the balance drawn
+            assert ratio > 0.03, f"{name}, {low}-{high} Hz"
 
 
 @pytest.fixture

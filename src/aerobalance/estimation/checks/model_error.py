@@ -14,8 +14,8 @@ BINS: Final = 512
 """Frequencies at which the spectrum of an error is kept."""
 
 LEAST_SEEN: Final = 0.1
-"""Response of the balance over that which was taken for its, below which its inverse is not followed: the force is five
-times what was found at most, and within a tenth where it is a third."""
+"""Response of the balance over that which was taken for its, below which its inverse is not followed: the force is
+five times what was found at most, and within a tenth where it is a third."""
 
 PERIODS: Final = 1.0
 """Periods of the balance either side over which the square of an error is averaged."""
