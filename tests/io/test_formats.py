@@ -414,3 +414,18 @@ def test_texts_longer_than_their_file_are_refused_before_the_library_takes_the_m
     path.write_bytes(content)
     with pytest.raises(ReadError, match=rf"byte {place}: claims 1000000000 letters in a file of {len(content)} bytes"):
         read(path)
+
+
+def test_names_whose_free_places_are_in_a_circle_are_refused_before_the_library_follows_them(tmp_path) -> None:
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("AF", data=LOAD).attrs["fs"] = RATE
+    content = bytearray(path.read_bytes())
+    heap = content.index(b"HEAP")
+    free, address = (int.from_bytes(content[heap + at : heap + at + 8], "little") for at in (16, 24))
+    place = address + free
+    assert content[place : place + 8] == (1).to_bytes(8, "little")  # the last one
+    content[place : place + 8] = free.to_bytes(8, "little")
+    path.write_bytes(content)
+    with pytest.raises(ReadError, match=f"byte {place}: the free places of a group's names are in a circle"):
+        read(path)

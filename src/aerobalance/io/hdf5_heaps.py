@@ -1,7 +1,8 @@
-"""Heaps of texts in HDF5 files, checked before the library reads attributes: it believes what they claim.
+"""Heaps of texts and names in HDF5 files, checked before the library reads them: it believes what they claim.
 
 HDF5 file format specification, version 3, III.E "Global Heap": a collection has its size and a list of objects, each
-with its index and its size; a text elsewhere is its length, the place of the collection, and the index.
+with its index and its size; a text elsewhere is its length, the place of the collection, and the index. III.D "Local
+Heap", of the names in a group: places without a name are a list of which each tells the next.
 """
 
 from __future__ import annotations
@@ -16,6 +17,10 @@ from aerobalance.io.hdf5_closing import SIGNATURE
 from aerobalance.recording.errors import ReadError
 
 _MARK: Final = b"GCOL\x01\0\0\0"
+_NAMES: Final = b"HEAP\0\0\0\0"
+_LAST: Final = 1
+"""What the last place without a name says of the next."""
+
 _TEXT: Final = re.compile(rb"[\x19\x29\x39]...\x10\0\0\0[\x10-\x13\x20-\x23\x30-\x33]", re.DOTALL)
 """Type of a text (or list) of any length, and the beginning of that of its letters."""
 
@@ -51,6 +56,26 @@ def check_heaps(path: Path) -> None:
             while at >= 0:
                 _check_texts(path, view, at, _objects(path, view, at), (begin, end))
                 at = view.find(_MARK, at + 1, end)
+            at = view.find(_NAMES, begin, end)
+            while at >= 0:
+                _check_free_places(path, view, at)
+                at = view.find(_NAMES, at + 1, end)
+
+
+def _check_free_places(path: Path, view: mmap.mmap, at: int) -> None:
+    """Refuse a heap of names whose list of free places runs in a circle: the library follows it without an end."""
+    if at + 32 > len(view):
+        return
+    size, free, address = struct.unpack_from("<QQQ", view, at + 8)
+    begin = address + max(0, view.find(SIGNATURE, 0, 4096))
+    seen: set[int] = set()
+    while free != _LAST and free + _HEAD <= size and begin + free + _HEAD <= len(view):
+        if free in seen:
+            raise ReadError(
+                path, f"byte {begin + free}", "the free places of a group's names are in a circle: the file is damaged"
+            )
+        seen.add(free)
+        (free,) = struct.unpack_from("<Q", view, begin + free)
 
 
 def _check_lengths(path: Path, view: mmap.mmap, span: tuple[int, int]) -> None:
