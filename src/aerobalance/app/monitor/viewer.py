@@ -88,6 +88,8 @@ class Viewer:
             if frame is not None:
                 self._sequence += 1
                 await self._socket.send_bytes(frame)
+        if self._sequence - self._acknowledged >= UNSHOWN:
+            return
         name = self._component if self._component in watching.components else next(iter(watching.components), "")
         frame, seen = display.spectra_frame(self._sequence + 1, name, self._spectra_seen)
         if frame is not None:
