@@ -109,8 +109,8 @@ def test_a_clean_release_is_not_doubted(rng):
         assert fit.doubts or fit.verdict is Verdict.FIT
         assert fit.force_density is None
         assert fit.amplitude_law is None
-    # of 300 one was, for a cut in the record: more than three of a hundred come once in 200 times
-    assert doubted <= (0 if count < 100 else 3)
+    # of 300 one was, for a cut in the record: by Poisson's law more than two of a hundred come once in 200 times
+    assert doubted <= (0 if count < 100 else 2)
 
 
 def slow(

@@ -48,12 +48,17 @@ class Viewer:
         self._cursors: list[int] = []
         self._spectra_seen = 0
 
+    @property
+    def _has_room(self) -> bool:
+        """Whether the viewer may be sent one more frame."""
+        return self._sequence - self._acknowledged < UNSHOWN
+
     async def serve(self) -> None:
         """Send and listen until the viewer is gone, or the server ends."""
         listener = asyncio.create_task(self._listen())
         try:
             while not listener.done():
-                if self._sequence - self._acknowledged < UNSHOWN:
+                if self._has_room:
                     await self._send()
                 elif time.monotonic() - self._shown > GONE:
                     break
@@ -88,7 +93,7 @@ class Viewer:
             if frame is not None:
                 self._sequence += 1
                 await self._socket.send_bytes(frame)
-        if self._sequence - self._acknowledged >= UNSHOWN:
+        if not self._has_room:
             return
         name = self._component if self._component in watching.components else next(iter(watching.components), "")
         frame, seen = display.spectra_frame(self._sequence + 1, name, self._spectra_seen)
@@ -138,7 +143,7 @@ class Viewer:
                     ping = given.get("ping")
                     if isinstance(ping, int | float):  # at once: the viewer sets its clock by it
                         await self._tell({"type": "pong", "ping": ping, "now": time.time() * 1e3})
-            if self._sequence - self._acknowledged < UNSHOWN:
+            if self._has_room:
                 await self._display.tell()
 
     def _hear(self, given: dict[str, Any]) -> None:
