@@ -183,13 +183,7 @@ def missing_mode(seen: Averaged, dynamics: ModalModel) -> MissingMode | None:
         price = 2 * np.log(band.size)  # Schwarz's, of the two numbers of an edge, which is no fault
         if edge.twice_log_likelihood - plain.twice_log_likelihood > price:
             # a mode alone would bend to an edge as well, and its share be another
-            edges = [edge.point, *_steepest(seen, band, dynamics, beside=centre)]
-            beside = [
-                max(
-                    (_further_mode(seen, band, dynamics, start, sign=sign, edge=one) for one in edges), key=_likelihood
-                )
-                for sign in (1, -1)
-            ]
+            beside = _beside_an_edge(seen, band, dynamics, start, edge=edge.point)
             if max(map(_likelihood, beside)) - max(map(_likelihood, either)) > price:
                 either = beside
         found = max(either, key=_likelihood)
@@ -255,6 +249,15 @@ def _further_mode(
         start, scale = np.concatenate([start, edge]), np.concatenate([scale, _edge_scale(seen)])
     fit = _fit(seen, band, bent, start=start, scale=scale)
     return _FurtherMode(fit, mode_at(fit.point))
+
+
+def _beside_an_edge(
+    seen: Averaged, band: NDArray[np.intp], dynamics: ModalModel, start: Array, *, edge: Array
+) -> list[_FurtherMode]:
+    """The likeliest fits with a further mode of either sign beside an edge, looked for also apart from the mode."""
+    edges = [edge, *_steepest(seen, band, dynamics, beside=float(np.exp(start[0])))]
+    fits = [[_further_mode(seen, band, dynamics, start, sign=sign, edge=one) for one in edges] for sign in (1, -1)]
+    return [max(of_sign, key=_likelihood) for of_sign in fits]
 
 
 def _edge(seen: Averaged, band: NDArray[np.intp], dynamics: ModalModel, mode: Mode) -> _LocalFit:
