@@ -27,7 +27,8 @@ from aerobalance.app.reports.calibration_figures import (
 from aerobalance.app.reports.calibration_report import _terms, write_calibration_report
 from aerobalance.app.reports.page import PLACE_HOLDERS, decimals, empty_figure, fixed
 from aerobalance.balance.calibration.fit import Calibration, calibrate
-from aerobalance.balance.calibration.quality import Outlier, Quality, assess
+from aerobalance.balance.calibration.outliers import Outlier
+from aerobalance.balance.calibration.quality import Quality, assess
 from aerobalance.balance.matrix import TemperatureEffect
 from aerobalance.recording.errors import ReadError
 from aerobalance.simulation.calibration_stand import CalibrationStand, random_balance

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from aerobalance.balance import _term_kernels as kernels
 from aerobalance.balance.inversion import inverted
 from aerobalance.balance.load_formats import BalanceType, Geometry, to_direct
-from aerobalance.balance.terms import KINDS, MODELS, Term, codes
+from aerobalance.balance.terms import KINDS, MODELS, Term, codes, linear_part
 from aerobalance.recording.channel import Array
 
 Way = Literal["iterative", "non-iterative"]
@@ -173,12 +173,7 @@ class BalanceMatrix:
     @property
     def linear(self) -> Array:
         """Coefficients of the linear terms, shape (c, c): results in rows, variables in columns."""
-        c = len(self.components)
-        matrix = np.zeros((c, c))
-        for term, row in zip(self.terms, self.coefficients, strict=True):
-            if term.kind == 0:
-                matrix[:, term.first] = row
-        return matrix
+        return linear_part(self.terms, self.coefficients)
 
     @property
     def noise_of_readings(self) -> Array:

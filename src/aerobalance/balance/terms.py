@@ -8,6 +8,8 @@ from typing import Final, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.recording.channel import Array
+
 Model = Literal["linear", "quadratic", "abs", "27", "96", "auto"]
 
 SHAPES: Final = ("{a}", "|{a}|", "{a}*{a}", "{a}*|{a}|", "{a}*{b}", "|{a}*{b}|", "{a}*|{b}|", "|{a}|*{b}")
@@ -64,3 +66,12 @@ def codes(terms: tuple[Term, ...]) -> tuple[NDArray[np.int64], NDArray[np.int64]
 def by_label(names: tuple[str, ...]) -> dict[str, Term]:
     """All terms of variables with these names, by what `Term.label` writes for them."""
     return {term.label(names): term for term in terms_of("96", len(names))}
+
+
+def linear_part(terms: tuple[Term, ...], coefficients: Array) -> Array:
+    """Coefficients of the linear terms, results in rows, variables in columns, shape (c, c), of all, shape (t, c)."""
+    matrix = np.zeros((coefficients.shape[1], coefficients.shape[1]))
+    for term, row in zip(terms, coefficients, strict=True):
+        if term.kind == 0:
+            matrix[:, term.first] = row
+    return matrix

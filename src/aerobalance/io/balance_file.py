@@ -115,6 +115,10 @@ def calibration_payload(calibration: Calibration, quality: Quality) -> dict[str,
                 "unit": "mV/V",
                 "studentised": item.deviations,
                 "studentised_text": item.size,
+                "load": item.load,
+                "load_read": item.load_read,
+                "load_unit": "N*m" if schedule.moments[item.component] else "N",
+                "cause": item.cause,
             }
             for item in quality.outliers
         ],

@@ -12,6 +12,7 @@ from scipy.special import bdtr
 from aerobalance.app.reports.calibration_figures import MOST_LABELS, direction_figure, residual_panels, series_key
 from aerobalance.app.reports.page import decimals, fixed, significant, write_page
 from aerobalance.balance.calibration.fit import Calibration
+from aerobalance.balance.calibration.outliers import SETTINGS as OUTLIERS
 from aerobalance.balance.calibration.quality import SETTINGS, Quality
 from aerobalance.balance.calibration.regression import HIGHEST_INFLATION, inflation_text
 from aerobalance.io.artefacts import provenance
@@ -89,7 +90,7 @@ def write_calibration_report(
         "unidentified": _unidentified(found),
         "origin": origin,
         "limits": {
-            "bidirectional": 100 * SETTINGS.bidirectional, "outlier": 1e3 * SETTINGS.outlier,
+            "bidirectional": 100 * SETTINGS.bidirectional, "outlier": 1e3 * OUTLIERS.residual,
             "usual": 100 * USUAL_DEVIATION, "labels": MOST_LABELS, "inflation": (INFLATION, HIGHEST_INFLATION),
         },
     }  # fmt: skip

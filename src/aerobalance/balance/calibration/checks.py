@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.balance import _term_kernels as kernels
+from aerobalance.balance.calibration.outliers import Outlier, find_outliers, outliers_text, outlying_points
+from aerobalance.balance.calibration.regression import Regression, regress, residual_deviation
+from aerobalance.balance.calibration.selection import identifiable
 from aerobalance.balance.schedule import Schedule
+from aerobalance.balance.terms import codes, terms_of
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError, argument, warn_quality
 
@@ -44,6 +50,10 @@ class CheckSettings:
         Standard deviation of the residuals, over capacity, that is doubted.
     unfit
         The same that is refused.
+    points_per_unknown
+        Fewest points for each unknown, for one point to be held against the others before the terms are chosen.
+    few_of_series
+        Share of the loaded points of a series up to which they are wrong one by one; from there on it is the series.
     drift
         Change of a zero within a series, over capacity, that is doubted.
     drift_in_noise
@@ -63,6 +73,8 @@ class CheckSettings:
     outputs: tuple[float, float] = (0.03, 40.0)
     doubtful: float = 0.005
     unfit: float = 0.05
+    points_per_unknown: float = 2.0
+    few_of_series: float = 0.5
     drift: float = 0.005
     drift_in_noise: float = 10.0
 
@@ -82,8 +94,8 @@ FACTORS: Final = {
 """Factors between units that are mistaken for each other, and the units."""
 
 
-def check_schedule(schedule: Schedule) -> None:
-    """Refuse a schedule that cannot give a matrix, before anything is fitted.
+def check_schedule(schedule: Schedule) -> tuple[Outlier, ...]:
+    """Return wrong points by a fit of few terms, and refuse a schedule that cannot give a matrix, before it is fitted.
 
     Raises
     ------
@@ -102,7 +114,8 @@ def check_schedule(schedule: Schedule) -> None:
             f"{schedule.name}: {np.count_nonzero(used)} points; a matrix of {schedule.loads.shape[1]} components "
             f"needs at least {schedule.loads.shape[1] + 2}"
         )
-    loads, outputs, series = schedule.loads[used] / schedule.capacities, schedule.outputs[used], schedule.series[used]
+    points = _Points(schedule.loads[used] / schedule.capacities, schedule.outputs[used], schedule.series[used])
+    loads, outputs = points.loads, points.outputs
     for index, name in enumerate(schedule.components):
         if np.ptp(loads[:, index]) < SETTINGS.loaded:
             raise FitError(
@@ -114,12 +127,16 @@ def check_schedule(schedule: Schedule) -> None:
                 f"{schedule.name}: the bridge of {name} is dead: it reads {outputs[0, index]:.6g} mV/V at all "
                 f"{outputs.shape[0]} points"
             )
-    sensitivity = _sensitivity(loads, outputs, series)
+    # a series is judged by what its points agree on: one wrong point of it is named by itself after the fit
+    outlying, outliers = _outlying(schedule, points)
+    points = points.only(~outlying)
+    sensitivity = _sensitivity(points)
     _check_units(schedule, np.abs(loads).max(axis=0), np.max(np.abs(sensitivity), axis=1))
-    slopes = [_slopes(loads, outputs, series, index) for index in range(loads.shape[1])]
+    slopes = [_slopes(points, index) for index in range(loads.shape[1])]
     _check_signs(schedule, slopes, np.max(np.abs(sensitivity), axis=1))
     _check_wiring(schedule, sensitivity)
     _check_slopes(schedule, slopes)
+    return outliers
 
 
 def _check_units(schedule: Schedule, reach: Array, answers: Array) -> None:
@@ -155,9 +172,56 @@ def _check_units(schedule: Schedule, reach: Array, answers: Array) -> None:
         )
 
 
-def _sensitivity(loads: Array, outputs: Array, series: NDArray[np.intp]) -> Array:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Points:
+    """Points that are compared: loads over capacity (n, c), outputs (n, c) [mV/V], number of their series (n,)."""
+
+    loads: Array
+    outputs: Array
+    series: NDArray[np.intp]
+
+    def only(self, used: NDArray[np.bool_]) -> _Points:
+        return _Points(self.loads[used], self.outputs[used], self.series[used])
+
+
+def _outlying(schedule: Schedule, points: _Points) -> tuple[NDArray[np.bool_], tuple[Outlier, ...]]:
+    """Points that contradict the others in any bridge, shape (n,), but none of a series that does so as a whole.
+
+    By the terms of Eq. (2) where there are `SETTINGS.points_per_unknown` points for each, else by the linear ones.
+    """
+    outlying = np.zeros(len(points.series), dtype=np.bool_)
+    numbers = np.unique(points.series)
+    intercepts = (points.series[:, None] == numbers).astype(float)
+    scale = np.max(np.abs(_sensitivity(points)), axis=1)
+    for model in ("quadratic", "linear"):
+        offered = terms_of(model, points.loads.shape[1])
+        design = np.asarray(kernels.design(*codes(offered), np.ascontiguousarray(points.loads)))
+        terms, _ = identifiable(design, intercepts, offered)
+        if len(points.series) >= SETTINGS.points_per_unknown * (len(terms) + numbers.size) and (scale > 0).all():
+            break
+    else:
+        return outlying, ()
+    design = design[:, [offered.index(term) for term in terms]]
+    free, included = np.zeros(len(terms)), np.ones(len(terms), dtype=np.bool_)
+    fits = [
+        regress(values, design, intercepts, included=included, penalty=free) for values in (points.outputs / scale).T
+    ]
+    for index, fit in enumerate(fits):
+        found = outlying_points([fit], scale[index : index + 1])
+        loaded = np.abs(points.loads[:, index]) > SETTINGS.series_loaded
+        for number in numbers:
+            inside = points.series == number
+            if np.count_nonzero(found & inside) > SETTINGS.few_of_series * np.count_nonzero(loaded & inside):
+                found &= ~inside
+        outlying |= found
+    wrong = {int(point) for point in np.flatnonzero(schedule.fitted)[outlying]}
+    named = find_outliers(schedule, terms, fits, scale, "iterative")
+    return outlying, tuple(item for item in named if item.point in wrong)
+
+
+def _sensitivity(points: _Points) -> Array:
     """Outputs at capacity [mV/V], bridges in rows, loads in columns, shape (c, c)."""
-    x, y = _centred(loads, series), _centred(outputs, series)
+    x, y = _centred(points.loads, points.series), _centred(points.outputs, points.series)
     return np.asarray(np.linalg.lstsq(x, y, rcond=None)[0].T)
 
 
@@ -168,8 +232,9 @@ def _centred(values: Array, series: NDArray[np.intp]) -> Array:
     return centred
 
 
-def _slopes(loads: Array, outputs: Array, series: NDArray[np.intp], index: int) -> dict[int, tuple[float, float]]:
+def _slopes(points: _Points, index: int) -> dict[int, tuple[float, float]]:
     """Output at capacity of a component's own bridge in each series that loads it, and how well it is told."""
+    loads, outputs, series = points.loads, points.outputs, points.series
     found = {}
     for number in np.unique(series):
         inside = series == number
@@ -287,8 +352,10 @@ def _check_zeros(schedule: Schedule, residuals: Array) -> None:
             )
 
 
-def check_residuals(schedule: Schedule, residuals: Array, *, deviation: Array) -> None:
-    """Refuse a fitted matrix, or warn of it, by its residuals over capacity, shape (n, c), and their deviation, (c,).
+def check_residuals(
+    schedule: Schedule, residuals: Array, regressions: Sequence[Regression], outliers: Sequence[Outlier]
+) -> None:
+    """Refuse a fitted matrix, or warn of it, by its residuals over capacity, shape (n, c).
 
     Raises
     ------
@@ -301,16 +368,21 @@ def check_residuals(schedule: Schedule, residuals: Array, *, deviation: Array) -
         It is above `SETTINGS.doubtful`, or a zero drifts.
     """
     _check_zeros(schedule, residuals)
-    size = deviation
-    bad = np.flatnonzero(size > SETTINGS.unfit)
-    if bad.size:
+    size = residual_deviation(residuals, regressions)
+    bad = np.flatnonzero(size > SETTINGS.unfit).tolist()
+    if bad:
+        wrong = [item for item in outliers if item.component in bad]
+        if all(regressions[i].deviation_without < SETTINGS.unfit for i in bad):
+            raise FitError(f"{schedule.name}: {outliers_text(schedule, wrong)}")
         texts = [f"{schedule.components[i]} {100 * size[i]:.3g} %{_blame(schedule, residuals[:, i])}" for i in bad]
         raise FitError(
             f"{schedule.name}: unfit for a matrix: the readings do not follow the loads. Standard deviation of the "
             f"residuals in percent of capacity: {', '.join(texts)}. Look for drifting or loose bridges, and repeat "
             f"these series, or leave out what is known to be wrong ({argument('Schedule.without')})"
         )
-    for i in np.flatnonzero(size > SETTINGS.doubtful):
+    for i in np.flatnonzero(size > SETTINGS.doubtful).tolist():
+        if regressions[i].deviation_without < SETTINGS.doubtful:
+            continue  # single points make it, which are named
         warn_quality(
             f"{schedule.name}: the residuals of {schedule.components[i]} have a standard deviation of "
             f"{100 * size[i]:.2g} % of capacity{_blame(schedule, residuals[:, i])}; balances reach 0.05 to 0.3 %. "

@@ -12,10 +12,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aerobalance.balance.calibration.checks import check_residuals, check_schedule
 from aerobalance.balance.calibration.normalised_points import NormalisedPoints
-from aerobalance.balance.calibration.regression import Choice, Regression, residual_deviation, without_intercepts
+from aerobalance.balance.calibration.outliers import find_outliers, outliers_text, outlying_points
+from aerobalance.balance.calibration.regression import Choice, Regression, without_intercepts
 from aerobalance.balance.calibration.selection import Unidentified, identifiable, select
 from aerobalance.balance.calibration.shrinkage import Design, shrink
 from aerobalance.balance.matrix import BalanceMatrix, Way
@@ -23,6 +25,7 @@ from aerobalance.balance.schedule import Schedule
 from aerobalance.balance.terms import Model, Term, terms_of
 from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import FitError
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,7 +124,7 @@ def calibrate(
     DataQualityWarning
         The matrix can be used, but something in the schedule makes it worse than it looks.
     """
-    check_schedule(schedule)
+    outliers = check_schedule(schedule)
     noise = _noise_of(reading_noise, schedule.gauges)
     terms = terms_of(model, len(schedule.components))
     data = NormalisedPoints.of(schedule, way)
@@ -131,14 +134,20 @@ def calibrate(
         terms, more = identifiable(data.design(terms, data.outputs), data.intercepts, terms)
         unknown += more
     choice = Choice.everything(len(schedule.components), len(terms))
-    tares, regressions = data.fit(terms, choice)
+    try:
+        tares, regressions = data.fit(terms, choice)
+    except FitError as error:
+        if outliers:
+            raise FitError(f"{schedule.name}: {outliers_text(schedule, outliers)}") from error
+        raise
     if model == "auto":
-        choice = _chosen(data, terms, tares)
+        choice = _chosen(data, terms, tares, ~outlying_points(regressions, data.output_scale))
         tares, regressions = data.fit(terms, choice)
     matrix = replace(data.matrix(terms, regressions, tares), reading_noise=noise)
     residuals = data.residuals(matrix, regressions, tares)
     fitted = residuals[schedule.fitted] / schedule.capacities
-    check_residuals(schedule, fitted, deviation=residual_deviation(fitted, regressions))
+    outliers = find_outliers(schedule, terms, regressions, data.output_scale, way)
+    check_residuals(schedule, fitted, regressions, outliers)
     by_iteration = data.tares_by_iteration(terms, choice, regressions) if data.absolute else None
     return Calibration(
         schedule=schedule,
@@ -188,14 +197,18 @@ def _beyond_model(
     return tuple(item for item in others if item.term not in known)
 
 
-def _chosen(data: NormalisedPoints, terms: tuple[Term, ...], tares: Array) -> Choice:
-    """Significant terms of every component, and the shrinkage of their coefficients."""
-    design = data.design(terms, data.variables(tares))
+def _chosen(data: NormalisedPoints, terms: tuple[Term, ...], tares: Array, used: NDArray[np.bool_]) -> Choice:
+    """Significant terms of every component, and the shrinkage of their coefficients, by the points used, shape (n,).
+
+    Points that contradict the others have no say: terms that nothing else asks for would be chosen to fit them, and
+    sound points beside them would look wrong.
+    """
+    design = data.design(terms, data.variables(tares))[used]
     kinds = np.array([term.kind for term in terms])
     points = []
     for i, values in enumerate(data.targets.T):
-        nuisance = data.nuisance(i)
-        own = without_intercepts(np.column_stack([design, values]), nuisance)
-        points.append(Design(own[:, :-1], own[:, -1], values.size - nuisance.shape[1]))
+        nuisance = data.nuisance(i)[used]
+        own = without_intercepts(np.column_stack([design, values[used]]), nuisance)
+        points.append(Design(own[:, :-1], own[:, -1], len(own) - nuisance.shape[1]))
     coefficients = shrink(points, kinds)
     return Choice(select(coefficients, kinds), coefficients.penalty)

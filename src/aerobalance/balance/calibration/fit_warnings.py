@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
 from aerobalance.balance.calibration.fit import Calibration
+from aerobalance.balance.calibration.outliers import outlier_text
 from aerobalance.balance.calibration.quality import Quality
 from aerobalance.balance.calibration.regression import HIGHEST_INFLATION, inflation_text
 from aerobalance.balance.matrix import BalanceMatrix
@@ -26,8 +27,7 @@ def warn_of_weaknesses(calibration: Calibration, quality: Quality) -> None:
         count = len(quality.outliers)
         _warn(
             f"{schedule.name}: {f'{count} readings do' if count > 1 else '1 reading does'} not go with the others, "
-            f"{'most ' if count > 1 else ''}{schedule.components[worst.component]} at point {worst.label!r} "
-            f"({1e3 * worst.residual:+.2g} uV/V, {worst.size} standard deviations); "
+            f"{'most ' if count > 1 else ''}{outlier_text(schedule, worst)}; "
             f"{'they are' if count > 1 else 'it is'} in the fit and {'widen' if count > 1 else 'widens'} its "
             f"uncertainty. What is wrong is left out with {argument('Schedule.without', [worst.label])}"
         )

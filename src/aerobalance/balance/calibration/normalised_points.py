@@ -13,7 +13,7 @@ from aerobalance.balance.calibration.regression import Choice, Regression, regre
 from aerobalance.balance.inversion import inverted
 from aerobalance.balance.matrix import BalanceMatrix, TemperatureEffect, Way
 from aerobalance.balance.schedule import Schedule
-from aerobalance.balance.terms import Term, codes
+from aerobalance.balance.terms import Term, codes, linear_part
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
 
@@ -157,7 +157,7 @@ class NormalisedPoints:
         for _ in range(SETTINGS.tare_rounds):
             C, left = self._coefficients(terms, choice, tares)
             # where only differences within a series are fitted, what is left of the outputs is a load of the fixture
-            change = np.linalg.solve(_linear(terms, C), left.T).T
+            change = np.linalg.solve(linear_part(terms, C), left.T).T
             tares[self.series_used] += change
             if np.max(np.abs(change)) < SETTINGS.tare_tolerance:
                 return tares, self._regress(terms, choice, tares)
@@ -194,7 +194,7 @@ class NormalisedPoints:
         now: Array = np.zeros((used.size, self.loads.shape[1]))
         if self.way == "iterative":  # from nothing it need not settle where the fixtures are heavy
             C, left = self._coefficients(terms, choice, np.zeros_like(tares))
-            now = np.asarray(np.linalg.solve(_linear(terms, C), left.T).T, dtype=np.float64)
+            now = np.asarray(np.linalg.solve(linear_part(terms, C), left.T).T, dtype=np.float64)
         places: list[Array] = []
         steps: list[Array] = []
         for _ in range(SETTINGS.tare_rounds):
@@ -228,7 +228,7 @@ class NormalisedPoints:
         else:
             computed = _solve(terms, C, outputs)
             # far from the tares the first matrices may not lead back to every load: one linear step stands in
-            near = total + np.linalg.solve(_linear(terms, C), (outputs - design @ C).T).T
+            near = total + np.linalg.solve(linear_part(terms, C), (outputs - design @ C).T).T
             computed = np.where(np.isfinite(computed).all(axis=1, keepdims=True), computed, near)
         return np.array([(computed - total)[series == number].mean(axis=0) for number in self.series_used])
 
@@ -268,7 +268,7 @@ class NormalisedPoints:
         u = np.array([fit.u_intercepts[first : first + 2] for fit in regressions])
         if self.way == "non-iterative":
             # a bridge that reads too high gives too much of every load that it takes part in, which the terms take off
-            inverse = np.linalg.inv(_linear(terms, np.column_stack([fit.coefficients for fit in regressions])))
+            inverse = np.linalg.inv(linear_part(terms, np.column_stack([fit.coefficients for fit in regressions])))
             effects = np.column_stack([-inverse @ effects[:, 0], -effects[:, 1]])
             u[:, 0] = np.sqrt(inverse**2 @ u[:, 0] ** 2)
         return {
@@ -342,18 +342,9 @@ def _series_zeros(schedule: Schedule, rough: Array) -> Array:
     return zeros
 
 
-def _linear(terms: tuple[Term, ...], C: Array) -> Array:
-    """Coefficients of the linear terms, results in rows, variables in columns, shape (c, c)."""
-    matrix = np.zeros((C.shape[1], C.shape[1]))
-    for term, row in zip(terms, C, strict=True):
-        if term.kind == 0:
-            matrix[:, term.first] = row
-    return matrix
-
-
 def _solve(terms: tuple[Term, ...], C: Array, outputs: Array) -> Array:
     """Loads over capacity that give these outputs over the output at capacity, shape (n, c)."""
-    return inverted(codes(terms), C, _linear(terms, C), outputs)[0]
+    return inverted(codes(terms), C, linear_part(terms, C), outputs)[0]
 
 
 def _correlation(residuals: Array) -> Array:

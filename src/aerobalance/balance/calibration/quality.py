@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import stdtr, stdtrit
 
 from aerobalance.balance.calibration.fit import Calibration
+from aerobalance.balance.calibration.outliers import Outlier, find_outliers
 from aerobalance.balance.calibration.regression import residual_deviation, without_intercepts
 from aerobalance.recording.channel import Array
 
@@ -26,23 +27,17 @@ class QualitySettings:
         Probability of such a difference by chance below which it is real.
     curved
         Where a square leaves less than this share of the residual variance that an absolute value leaves, the bridge
-        is curved and not bidirectional. Above it the noise is too large to tell them apart with confidence.
-    outlier
-        Residual of a point that AIAA R-091 looks into [mV/V].
-    outlier_significance
-        Probability, over all points together, below which a point is an outlier (Bonferroni).
-    most_deviations
-        Standard deviations from which only that an outlier has more of them is said: no chance reaches there.
+        is curved and not bidirectional: more than the hysteresis of real balances makes of it (0.9 to 0.95).
+    curved_significance
+        Twice the logarithm of the likelihood ratio of the two that this takes besides: 20 to 1.
     same_load
         Difference of loads, over capacity, within which points are repeats.
     """
 
     bidirectional: float = 0.005
     bidirectional_significance: float = 0.001
-    curved: float = 0.5
-    outlier: float = 2.5e-3
-    outlier_significance: float = 0.05
-    most_deviations: float = 100.0
+    curved: float = 0.8
+    curved_significance: float = 6.0
     same_load: float = 1e-4
 
 
@@ -73,42 +68,6 @@ class Direction:
     p: float
     known: bool
     interval: float = np.nan
-
-
-@dataclass(frozen=True, slots=True)
-class Outlier:
-    """Calibration point whose residual is too large for chance.
-
-    Attributes
-    ----------
-    point
-        Its position in the schedule, from 0.
-    component
-        Position of the component.
-    residual
-        Of the bridge's output [mV/V].
-    studentised
-        The same over its standard deviation as the other points tell it; infinite where they fit to the last digit.
-    label
-        Words that name the point, as `Schedule.without` takes them.
-    """
-
-    point: int
-    component: int
-    residual: float
-    studentised: float
-    label: str = ""
-
-    @property
-    def deviations(self) -> float | None:
-        """`studentised` where it means something; None from `SETTINGS.most_deviations` on, where no chance reaches."""
-        return self.studentised if abs(self.studentised) < SETTINGS.most_deviations else None
-
-    @property
-    def size(self) -> str:
-        """How many standard deviations, in words: a number that means something, or a bound."""
-        found = self.deviations
-        return f"more than {SETTINGS.most_deviations:g}" if found is None else f"{abs(found):.2g}"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,7 +128,7 @@ def assess(calibration: Calibration) -> Quality:
         hysteresis=_hysteresis(calibration, fitted),
         repeatability=_repeatability(calibration, fitted),
         directions=tuple(_direction(calibration, index) for index in range(len(schedule.components))),
-        outliers=_outliers(calibration),
+        outliers=find_outliers(schedule, matrix.terms, calibration.regressions, matrix.output_scale, matrix.way),
         confirmation=confirmation,
         confirmation_covered=covered,
     )
@@ -197,7 +156,7 @@ def _direction(calibration: Calibration, index: int) -> Direction:
     freedom = max(y.size - rest.shape[1] - 1 - intercepts.shape[1], 1)
     p = float(2 * stdtr(freedom, -abs(by_direction) / u)) if u > 0 else 0.0
     difference = float(2 * by_direction / slope)
-    curved = sum_square < SETTINGS.curved * sum_direction
+    curved = sum_square < sum_direction * min(SETTINGS.curved, np.exp(-SETTINGS.curved_significance / freedom))
     real = abs(difference) > SETTINGS.bidirectional and p < SETTINGS.bidirectional_significance and not curved
     interval = float(-stdtrit(freedom, 0.025) * 2 * u / abs(slope))
     return Direction(bool(real), difference, p, True, interval)
@@ -226,23 +185,6 @@ def _one_term(column: Array, rest: Array, y: Array, intercepts: int) -> tuple[fl
     total = float(remains @ remains)
     freedom = max(y.size - rest.shape[1] - 1 - intercepts, 1)
     return coefficient, float(np.sqrt(total / freedom / weight)), total
-
-
-def _outliers(calibration: Calibration) -> tuple[Outlier, ...]:
-    schedule = calibration.schedule
-    points = np.flatnonzero(schedule.fitted)
-    found = []
-    for index, fit in enumerate(calibration.regressions):
-        scale = calibration.matrix.output_scale[index]
-        output = fit.residuals * scale
-        limit = -stdtrit(max(fit.degrees_of_freedom - 1, 1), SETTINGS.outlier_significance / 2 / points.size)
-        found += [
-            Outlier(
-                int(points[row]), index, float(output[row]), float(fit.studentised[row]), schedule.label(points[row])
-            )
-            for row in np.flatnonzero((np.abs(fit.studentised) > limit) & (np.abs(output) > SETTINGS.outlier))
-        ]
-    return tuple(sorted(found, key=lambda item: -abs(item.studentised)))
 
 
 def _groups(calibration: Calibration) -> NDArray[np.intp]:

@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
-from scipy.special import stdtr
+from scipy.special import stdtr, stdtrit
 
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
@@ -28,6 +28,18 @@ SMALLEST_SIZE: Final = 1e-15
 
 MOST_INFLATION: Final = 1e6
 """Variance inflation factor from which only that it is larger is said."""
+
+OUTLYING_SIGNIFICANCE: Final = 0.05 / 6
+"""Probability, over all points of a component, below which a deleted residual is too large for chance (Bonferroni).
+
+Of a sound calibration of six components one in twenty has such a point.
+"""
+
+MOST_OUTLYING: Final = 0.05
+"""Largest share of the points that are looked for as outlying: more of them are no single mistakes."""
+
+ROUNDED: Final = 1e-9
+"""Residual over the largest value up to which it may be rounding, where the others fit to the last digit."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,9 +99,16 @@ class Regression:
         can be left out.
     r_squared
         Share of the variance that is explained.
+    deleted
+        Residuals that the points have where they and all outlying ones are left out of the fit, shape (n,); those of
+        a point that alone tells an unknown are zero.
     studentised
-        Residuals over their standard deviation, each found without its own point, shape (n,); infinite where the
-        other points fit to the last digit.
+        The same over their standard deviation, which is found without them too, shape (n,); infinite where the other
+        points fit to the last digit.
+    outlying
+        True for the points whose deleted residual is too large for chance, shape (n,). They are in the fit.
+    deviation_without, coefficients_without
+        Standard deviation of the residuals, and coefficients, shape (t,), of a fit without the outlying points.
     """
 
     included: NDArray[np.bool_]
@@ -105,7 +124,11 @@ class Regression:
     degrees_of_freedom: int
     press: float
     r_squared: float
+    deleted: Array
     studentised: Array
+    outlying: NDArray[np.bool_]
+    deviation_without: float
+    coefficients_without: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,18 +141,21 @@ class _LeastSquares:
         Unknowns, shape (k,).
     rest
         Residuals, those of the readings first, shape (n + m,).
-    unscaled_covariance
-        Covariance of the unknowns for readings of variance one, shape (k, k).
+    inverse
+        Pseudo-inverse of the design, those readings in columns, shape (k, n + m).
     leverage
         Part of each reading in its own fitted value, shape (n,).
+    basis
+        Orthonormal columns that span what is fitted, shape (n + m, at most k).
     freedom
         Readings and those that draw to zero, less unknowns that they tell.
     """
 
     found: Array
     rest: Array
-    unscaled_covariance: Array
+    inverse: Array
     leverage: Array
+    basis: Array
     freedom: int
 
 
@@ -168,11 +194,11 @@ def regress(
     freedom = n - float(np.sum(whole.leverage))
     deviation = float(np.sqrt(np.sum(whole.rest[:n] ** 2) / freedom))
     found = _spread(fit.found, np.concatenate([included, np.ones(intercepts.shape[1], dtype=bool)]), 0.0)
-    covariance = whole.unscaled_covariance * deviation**2 + np.outer(found - whole.found, found - whole.found)
+    covariance = whole.inverse @ whole.inverse.T * deviation**2 + np.outer(found - whole.found, found - whole.found)
     u = np.sqrt(np.diag(covariance))
     rest = fit.rest[:n]
     squares = float(rest @ rest)
-    press, studentised = _left_out(fit)
+    without = _left_out(fit, float(np.max(np.abs(values), initial=0.0)))
     spread = float(np.sum((values - values.mean()) ** 2))
     with np.errstate(divide="ignore", invalid="ignore"):
         t = (found / u)[: included.size]
@@ -188,30 +214,106 @@ def regress(
         residuals=rest,
         deviation=deviation,
         degrees_of_freedom=round(freedom),
-        press=press,
+        press=_press(fit),
         r_squared=1 - squares / spread if spread > 0 else 0.0,
-        studentised=studentised,
+        deleted=without.deleted,
+        studentised=without.studentised,
+        outlying=without.out,
+        deviation_without=without.deviation,
+        coefficients_without=_spread(without.found[: np.count_nonzero(included)], included, 0.0),
     )
 
 
-def _left_out(fit: _LeastSquares) -> tuple[float, Array]:
-    """Root mean square of the residuals of points left out one by one, and residuals over their deviation then.
-
-    What draws coefficients to zero are readings as well: counted with the others, what the rest leaves is never
-    negative. A point that alone tells an unknown (leverage one) fits whatever it reads, and shows nothing of itself.
-    """
-    leverage = fit.leverage
-    rest = fit.rest[: leverage.size]
+def _press(fit: _LeastSquares) -> float:
+    """Root mean square of the residuals of points left out one by one; NaN where each alone tells an unknown."""
+    rest, leverage = fit.rest[: fit.leverage.size], fit.leverage
     told = leverage < 1 - FULL_LEVERAGE
-    studentised = np.zeros(rest.size)
-    if not told.any():
-        return float("nan"), studentised
-    rest, leverage = rest[told], leverage[told]
-    squares = np.maximum(float(fit.rest @ fit.rest) - rest**2 / (1 - leverage), 0.0)
-    deviation = np.sqrt(squares / max(fit.freedom - 1, 1) * (1 - leverage))
-    exact = np.where(rest == 0, 0.0, np.copysign(np.inf, rest))
-    studentised[told] = np.divide(rest, deviation, out=exact, where=deviation > 0)
-    return float(np.sqrt(np.mean((rest / (1 - leverage)) ** 2))), studentised
+    return float(np.sqrt(np.mean((rest[told] / (1 - leverage[told])) ** 2))) if told.any() else float("nan")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Deleted:
+    """What a fit of n points says of points left out of it.
+
+    Attributes
+    ----------
+    out
+        True for the points that are left out together, shape (n,).
+    deleted, studentised
+        Residuals of the points where they and those are left out, and the same over their deviation, shape (n,).
+    deviation, found
+        Standard deviation of the residuals, and the unknowns, of the fit without those.
+    """
+
+    out: NDArray[np.bool_]
+    deleted: Array
+    studentised: Array
+    deviation: float
+    found: Array
+
+
+def _left_out(fit: _LeastSquares, largest: float) -> _Deleted:
+    """Leave out the points whose deleted residuals are too large for chance, and tell those of all points.
+
+    The point with the largest of them is left out for good, then the largest of the others, until chance explains the
+    rest: a point that is far off hides another, and makes sound ones look wrong. Where more points than
+    `MOST_OUTLYING` would go, only those count that stand out from them by a factor of two. `largest` is the largest
+    value fitted, which tells rounding.
+    """
+    count = fit.leverage.size
+    most = max(int(MOST_OUTLYING * count), 1)
+    limit = -stdtrit(max(fit.freedom - 1, 1), OUTLYING_SIGNIFICANCE / 2 / count)
+    out: list[int] = []
+    sizes: list[float] = []
+    while True:
+        found = _without(fit, out)
+        left = np.where(np.abs(found.deleted) > ROUNDED * largest, np.abs(found.studentised), 0.0)
+        left[out] = 0.0
+        worst = int(np.argmax(left))
+        if left[worst] <= limit or fit.freedom - len(out) <= LEAST_FREEDOM:
+            break
+        if len(out) == most:
+            crowd = 2 * float(left[worst])
+            found = _without(fit, out[: next((i for i, size in enumerate(sizes) if size <= crowd), most)])
+            break
+        out.append(worst)
+        sizes.append(float(left[worst]))
+    sound = found.out & (np.abs(found.studentised) <= limit)  # another wrong point had made them look wrong
+    return _without(fit, np.flatnonzero(found.out & ~sound).tolist()) if sound.any() else found
+
+
+def _without(fit: _LeastSquares, out: Sequence[int]) -> _Deleted:
+    """Tell what a fit says of its points without those `out`.
+
+    By the inverse of a part of the residual-forming matrix, so that nothing is fitted anew. What draws coefficients to
+    zero are readings as well: counted with the others, what the rest leaves is never negative. A point that alone
+    tells an unknown (leverage one) fits whatever it reads, and shows nothing of itself.
+    """
+    count = fit.leverage.size
+    residuals, leverage = np.array(fit.rest[:count]), np.array(fit.leverage)
+    squares = float(fit.rest @ fit.rest)
+    deleted, variance, found = np.zeros(count), np.ones(count), fit.found
+    chosen = np.asarray(out, dtype=np.intp)
+    freedom = fit.freedom - chosen.size
+    if chosen.size:
+        H = fit.basis[:count] @ fit.basis[chosen].T
+        inverse = np.linalg.inv(np.eye(chosen.size) - H[chosen])
+        own = inverse @ residuals[chosen]
+        squares = max(squares - float(residuals[chosen] @ own), 0.0)
+        found = found - fit.inverse[:, chosen] @ own
+        residuals = residuals + H @ own
+        leverage = leverage + np.sum((H @ inverse) * H, axis=1)
+        deleted[chosen] = own
+        variance[chosen] = np.diag(inverse) * squares / max(freedom, 1)
+    told = leverage < 1 - FULL_LEVERAGE
+    told[chosen] = False
+    deleted[told] = residuals[told] / (1 - leverage[told])
+    left = np.maximum(squares - residuals[told] * deleted[told], 0.0)
+    variance[told] = left / max(freedom - 1, 1) / (1 - leverage[told])
+    exact = np.where(deleted == 0, 0.0, np.copysign(np.inf, deleted))
+    studentised = np.divide(deleted, np.sqrt(variance), out=exact, where=variance > 0)
+    deviation = float(np.sqrt(squares / max(freedom, 1)))
+    return _Deleted(np.isin(np.arange(count), chosen), deleted, studentised, deviation, found)
 
 
 def _fit(values: Array, design: Array, intercepts: Array, penalty: Array) -> _LeastSquares:
@@ -225,8 +327,9 @@ def _fit(values: Array, design: Array, intercepts: Array, penalty: Array) -> _Le
     return _LeastSquares(
         found=found,
         rest=y - X @ found,
-        unscaled_covariance=inverse @ inverse.T,
+        inverse=inverse,
         leverage=(X * inverse.T).sum(axis=1)[: values.size],
+        basis=left[:, told],
         freedom=y.size - int(np.count_nonzero(sizes > np.finfo(float).eps * max(X.shape) * largest)),
     )
 

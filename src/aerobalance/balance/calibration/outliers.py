@@ -1,0 +1,239 @@
+"""Outliers of a calibration: points that contradict the others, the loads that their readings belong to, and why."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerobalance.balance.calibration.regression import Regression
+from aerobalance.balance.matrix import Way
+from aerobalance.balance.schedule import Schedule
+from aerobalance.balance.terms import Term, linear_part
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import argument
+
+
+@dataclass(frozen=True, slots=True)
+class OutlierSettings:
+    """Thresholds of the outliers of a calibration.
+
+    Attributes
+    ----------
+    residual
+        Deleted residual of a point that AIAA R-091 looks into [mV/V].
+    most_deviations
+        Standard deviations from which only that an outlier has more of them is said: no chance reaches there.
+    alone
+        Change of the other loads, over that of one load, up to which that load alone is wrong: interactions that are
+        not linear make about a hundredth of it.
+    exact
+        Relative difference up to which a load is what a mistake makes of another.
+    seen
+        Standard deviations of a reading that an interaction must come to, for its absence to tell that the load was
+        there and only one bridge was read wrongly.
+    """
+
+    residual: float = 2.5e-3
+    most_deviations: float = 100.0
+    alone: float = 0.05
+    exact: float = 0.05
+    seen: float = 6.0
+
+
+SETTINGS: Final = OutlierSettings()
+"""Thresholds that are used."""
+
+MOST_NAMED: Final = 5
+"""Most outliers that one message has."""
+
+
+@dataclass(frozen=True, slots=True)
+class Outlier:
+    """Calibration point that contradicts the others.
+
+    Attributes
+    ----------
+    point
+        Its position in the schedule, from 0.
+    component
+        Position of the component whose bridge shows it.
+    residual
+        Deleted residual: output less what the other points tell of it [mV/V].
+    studentised
+        The same over its standard deviation as the other points tell it; infinite where they fit to the last digit.
+    label
+        Words that name the point, as `Schedule.without` takes them.
+    load
+        The component's load in the schedule [N, N*m].
+    load_read
+        The load that the readings are those of, by the other points [N, N*m].
+    cause
+        The mistake that explains it, in words; empty where none of those that are known does.
+    """
+
+    point: int
+    component: int
+    residual: float
+    studentised: float
+    label: str = ""
+    load: float = np.nan
+    load_read: float = np.nan
+    cause: str = ""
+
+    @property
+    def deviations(self) -> float | None:
+        """`studentised` where it means something; None from `SETTINGS.most_deviations` on, where no chance reaches."""
+        return self.studentised if abs(self.studentised) < SETTINGS.most_deviations else None
+
+    @property
+    def size(self) -> str:
+        """How many standard deviations, in words: a number that means something, or a bound."""
+        found = self.deviations
+        return f"more than {SETTINGS.most_deviations:g}" if found is None else f"{abs(found):.2g}"
+
+
+def outlying_points(regressions: Sequence[Regression], scale: Array) -> NDArray[np.bool_]:
+    """Return which points contradict the others in any component, shape (n,); `scale` of outputs, (c,) [mV/V]."""
+    far = [
+        fit.outlying & (np.abs(fit.deleted) * size > SETTINGS.residual)
+        for fit, size in zip(regressions, scale, strict=True)
+    ]
+    return np.asarray(np.any(far, axis=0))
+
+
+def find_outliers(
+    schedule: Schedule, terms: tuple[Term, ...], regressions: Sequence[Regression], scale: Array, way: Way
+) -> tuple[Outlier, ...]:
+    """Return the outliers of a calibration, strongest first.
+
+    Parameters
+    ----------
+    schedule
+        What was fitted: n points of c components.
+    terms
+        The t terms.
+    regressions
+        Those of the components on the terms, which have the residuals.
+    scale
+        Output that the regressions have as one, shape (c,) [mV/V].
+    way
+        Whether outputs were fitted on loads (iterative) or loads on outputs.
+    """
+    points = np.flatnonzero(schedule.fitted)
+    departures = np.column_stack([fit.deleted for fit in regressions])
+    deviation = np.array([fit.deviation_without for fit in regressions])
+    # by how much the load that is read is more than that of the schedule, over capacity; not by the matrix itself,
+    # which the outliers have a part in
+    iterative = way == "iterative"
+    linear = linear_part(terms, np.column_stack([fit.coefficients_without for fit in regressions]))
+    more = np.linalg.solve(linear, departures.T).T if iterative else -departures
+    found = []
+    for index, fit in enumerate(regressions):
+        output = fit.deleted * scale[index]
+        for row in np.flatnonzero(fit.outlying & (np.abs(output) > SETTINGS.residual)):
+            point = int(points[row])
+            read = schedule.loads[point] + more[row] * schedule.capacities
+            if iterative and _one_bridge(linear, departures[row], deviation):
+                cause = f"the other bridges show nothing of it: the reading of r{schedule.gauges[index]} is wrong"
+            else:
+                cause = _cause(schedule, point, index, read)
+            found.append(
+                Outlier(
+                    point,
+                    index,
+                    float(output[row]),
+                    float(fit.studentised[row]),
+                    schedule.label(point),
+                    float(schedule.loads[point, index]),
+                    float(read[index]),
+                    cause,
+                )
+            )
+    return _exchanged(schedule, tuple(sorted(found, key=lambda item: -abs(item.studentised))))
+
+
+def _one_bridge(linear: Array, departure: Array, deviation: Array) -> bool:
+    """Whether one bridge alone departs, where a wrong load would have shown in others by its interactions."""
+    own = int(np.argmax(np.abs(departure)))
+    if linear[own, own] == 0:
+        return False
+    expected = np.abs(linear[:, own] * departure[own] / linear[own, own])
+    others = np.arange(departure.size) != own
+    least = SETTINGS.seen * deviation
+    nothing = np.abs(departure) < np.maximum(expected / 2, least)
+    return bool(np.any(others & (expected > least)) and np.all(nothing[others]))
+
+
+def _cause(schedule: Schedule, point: int, index: int, read: Array) -> str:
+    """The mistake that turns the loads that are read into those of the schedule; empty where none is known."""
+    loads, capacities = schedule.loads[point], schedule.capacities
+    change = np.abs(read - loads) / capacities
+    worst = int(np.argmax(change))
+    alone = np.all(np.delete(change, worst) < SETTINGS.alone * change[worst])
+    name = schedule.components[worst]
+    if not alone:
+        second = int(np.argsort(change)[-2])
+        crossed = np.array(read)
+        crossed[[worst, second]] = read[[second, worst]]
+        exchanged = np.all(np.abs(crossed - loads) / capacities < SETTINGS.exact * change[worst])
+        return f"the loads of {name} and {schedule.components[second]} are exchanged" if exchanged else ""
+    if loads[worst] == 0.0:
+        return f"a load of {name} was on the balance that the schedule does not have"
+    return _factor(float(read[worst] / loads[worst]), name) or ("" if worst == index else f"the load of {name}")
+
+
+def _factor(ratio: float, name: str) -> str:
+    """The mistake that makes the load read this many times that of the schedule; empty where none is known."""
+    if abs(ratio + 1) < SETTINGS.exact:
+        return f"the sign of {name}"
+    if abs(ratio) < SETTINGS.exact:
+        return f"the load of {name} was not on the balance"
+    power = round(np.log10(abs(ratio)))
+    if power and abs(abs(ratio) / 10.0**power - 1) < SETTINGS.exact:
+        return f"the decimal point of {name}" + (" and its sign" if ratio < 0 else "")
+    return ""
+
+
+def _exchanged(schedule: Schedule, found: tuple[Outlier, ...]) -> tuple[Outlier, ...]:
+    """Say of outliers of one component, each with the load that the other reads, that their lines are exchanged."""
+    result = []
+    for item in found:
+        near = SETTINGS.exact * abs(item.load_read - item.load)
+        other = next(
+            (
+                one
+                for one in found
+                if one.component == item.component
+                and one.point != item.point
+                and abs(one.load - item.load_read) < near
+                and abs(one.load_read - item.load) < near
+            ),
+            None,
+        )
+        result.append(item if other is None else replace(item, cause=f"exchanged with {other.label!r}"))
+    return tuple(result)
+
+
+def outlier_text(schedule: Schedule, item: Outlier) -> str:
+    """Return an outlier in words: component, point, load of the schedule and load read, deviations, cause."""
+    unit = "N*m" if schedule.moments[item.component] else "N"
+    name = schedule.components[item.component]
+    cause = f"; probably {item.cause}" if item.cause else ""
+    return (
+        f"{name} at point {item.label!r} ({item.load:.6g} {unit}, but the readings are those of {item.load_read:.6g} "
+        f"{unit}: {1e3 * item.residual:+.3g} uV/V, {item.size} standard deviations{cause})"
+    )
+
+
+def outliers_text(schedule: Schedule, found: Sequence[Outlier]) -> str:
+    """Return outliers in a sentence or two: which, and what to do."""
+    labels = list(dict.fromkeys(item.label for item in found))
+    told = [outlier_text(schedule, item) for item in found[:MOST_NAMED]] + ["..."] * (len(found) > MOST_NAMED)
+    return (
+        f"{f'{len(labels)} points do' if len(labels) > 1 else '1 point does'} not go with the others: "
+        f"{'; '.join(told)}. Correct the file, or leave out what is wrong: {argument('Schedule.without', labels)}"
+    )
