@@ -170,8 +170,8 @@ def test_interactions_are_percent_of_output_at_capacity(page):
 def test_outliers_are_listed_with_point_and_series(page):
     cells = page.row(page.schedule.points[page.spoilt])
     assert cells[:2] == [page.schedule.series_names[page.schedule.series[page.spoilt]], "N2"], page.seed
-    # 20 uV/V were added; its own leverage takes a part of it, noise of 0.7 uV/V is on it
-    assert 12 < as_number(cells[2]) < 24, page.seed
+    # 20 uV/V were added; the noise of 0.7 uV/V is on it, and what the other points tell no better
+    assert 14 < as_number(cells[4]) < 26, page.seed
 
 
 def test_tares_stand_there_by_both_methods(page):
