@@ -17,6 +17,8 @@ from aerobalance.estimation.applied_force import Force
 from aerobalance.io import write_recording
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.analog_filter import AntiAlias
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import DataQualityWarning
 from faults.cases import Case, all_cases, dynamics
 from faults.trials import recording_of, worked_out
@@ -67,6 +69,41 @@ def test_a_gain_changes_the_force_by_as_much():
     assert more is not None
     change = float(np.sqrt(np.mean((more.only.values - force.only.values) ** 2)))
     assert effects(force)["gain"] == pytest.approx(change, rel=0.05)
+
+
+@pytest.mark.parametrize("angle", [0.02, 0.3])
+def test_zero_of_the_pitch_and_the_mass_change_the_force_by_as_much(angle):
+    """0.1 degree and 1 % of the mass, on a balance whose model is swept in pitch about an angle."""
+    own = replace(dynamics(), covariance=np.zeros((0, 0)))
+    time = np.arange(4000) / 1600
+    pitch = angle + 0.05 * np.sin(2 * np.pi * 0.5 * time)
+    weight = own.mass * STANDARD_GRAVITY * np.sin(pitch)  # slow: the balance follows
+    noise = np.random.default_rng(5).normal(0, 0.3, time.size)
+    columns = {"AF": (weight + noise, "N"), "pitch": (pitch, "rad")}
+
+    def force(run: ab.Recording, used: ab.Dynamics) -> Force:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DataQualityWarning)
+            return ab.estimate_force(run, used)
+
+    run = record_of(time, columns)
+    found = force(run, own)
+    turned = force(record_of(time, columns | {"pitch": (pitch + np.radians(0.1), "rad")}), own)
+    heavier = force(run, replace(own, mass=1.01 * own.mass, stiffness=1.01 * own.stiffness))
+    for kind, other in (("pitch zero", turned), ("mass", heavier)):
+        change = float(np.sqrt(np.mean((other.only.values - found.only.values) ** 2)))
+        assert effects(found)[kind] == pytest.approx(change, rel=0.05)
+    # what is stated is in the uncertainty instead
+    stated = replace(run.channel("pitch"), zero_uncertainty=0.001)
+    told = force(
+        replace(run, channels={**run.channels, "pitch": stated}), replace(own, covariance=np.diag([1.0, 0, 0, 0]))
+    )
+    assert not {"pitch zero", "mass"} & set(effects(told))
+
+
+def record_of(time: np.ndarray, columns: dict[str, tuple[np.ndarray, str]]) -> ab.Recording:
+    channels = {name: Channel(name, values, unit) for name, (values, unit) in columns.items()}
+    return ab.Recording.from_columns(time, channels, name="run")
 
 
 def test_what_is_declared_or_shown_is_not_assumed():

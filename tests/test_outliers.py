@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+import aerobalance as ab
 from aerobalance.balance.loads import Loads, loads_of_outputs
 from aerobalance.balance.zeros import GaugeZero
 from aerobalance.estimation.checks.outliers import without_wild_samples
+from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.channel import Channel
-from aerobalance.recording.errors import FitError
+from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.stuck_samples import stuck_samples
 from aerobalance.recording.wild_samples import wild_samples
@@ -177,3 +181,35 @@ def test_stuck_readings_are_missing_and_told(rng):
     assert np.flatnonzero(clean.channel("AF").missing).tolist() == list(range(1501, 1530))
     assert doubt.kind == "stuck channel"
     assert "29 samples of AF repeat the one before" in doubt.text
+
+
+@pytest.mark.parametrize(
+    ("times", "mass", "said"),
+    [
+        (1.0, 178.0, []),
+        (1000.0, 178.0, ["times the largest load that its dynamics were identified with"]),
+        (1.0, 178e3, ["the weight of 178000 kg along AF"]),
+    ],
+)
+def test_a_wrong_unit_or_mass_is_asked_about(times, mass, said, rng, tmp_path):
+    """A release of 500 N and a step of 200 N at 2.5 degrees; 1 N of noise, closed form of the ringing."""
+    time = np.arange(4000) / 1600
+    rate, decay, pitch = 2 * np.pi * 66.0, 2.0, np.radians(2.5)
+    weight = 178.0 * STANDARD_GRAVITY * np.sin(pitch)
+    ringing = np.where(time > 0.5, np.exp(-decay * (time - 0.5)) * np.cos(rate * (time - 0.5)), 1.0)
+
+    def record(load: np.ndarray) -> Recording:
+        noisy = load + rng.normal(0, 1, time.size)
+        channels = {"AF": Channel("AF", noisy, "N"), "pitch": Channel("pitch", np.full(time.size, pitch), "rad")}
+        return Recording.from_columns(time, channels, name="run")
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)
+        found = ab.identify(record(weight + 500 * ringing), mass=mass, components=["AF"]).dynamics
+        write_dynamics(tmp_path / "d.json", {"AF": found})
+        known = ab.read(tmp_path / "d.json")
+        force = ab.estimate_force(record(times * (weight + 200 * (1 - ringing))), known)
+    texts = [doubt.text for doubt in force.doubts if doubt.kind == "units"]
+    assert len(texts) == len(said)
+    assert all(part in text for part, text in zip(said, texts, strict=True))
+    assert not said or force.verdict == "doubtful"

@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import aerobalance as ab
 from aerobalance.app.commands.balance_files import BalanceFiles
 from aerobalance.app.commands.weighing import weigh
 from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.io import read, write_recording
 from aerobalance.io.balance_file import write_balance
 from aerobalance.recording.channel import Array, Channel
@@ -131,3 +133,29 @@ def test_a_zero_of_the_bare_balance_is_no_weight(tmp_path: Path, rng) -> None:
     loads = stand.weight(np.zeros(400))
     loads[:, 5] += swing
     np.testing.assert_allclose(felt.values, loads, atol=1e3 * ROUNDED * stand.balance.half_range.max())
+
+
+@pytest.mark.parametrize("part", [0.0, 0.01, -0.03])
+@pytest.mark.parametrize("model_on", [False, True])
+def test_a_zero_of_another_day_is_held_against_the_natural_zeros(
+    tmp_path: Path, part: float, model_on: bool, rng
+) -> None:
+    """A zero whose bridges read as under a load that nobody applied: all loads of the run are less by that load."""
+    stand = Stand(tmp_path, rng, natural_zeros=True)
+    stand.drift = np.zeros(6)
+    path, swing = stand.pulled()
+    model = Dynamics("AF", mass=stand.mass, stiffness=1e7, damping=0.0)
+    moved = part * stand.balance.half_range[5]
+    level = np.zeros(50)
+    loads = (stand.weight(level) if model_on else np.zeros((50, 6))) + moved * np.eye(6)[5]
+    zero = read(stand.record("zero", loads, level))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)
+        felt = ab.reduce_outputs(read(path), stand.matrix, zero=ab.Zero(zero, model_on=model_on), model=model)
+    told = felt.recording.zero_from_natural.get("AF", 0.0)
+    assert told == pytest.approx(moved, rel=1e-5)
+    assert np.mean(felt.values[:, felt.components.index("AF")] - swing) == pytest.approx(
+        -moved, abs=0.02 * abs(moved) + 1e-6 * stand.balance.half_range[5]
+    )  # bridges are read from a wrong place on their curves
+    doubts = [doubt for doubt in felt.doubts if doubt.component == "AF" and "natural zeros" in doubt.text]
+    assert bool(doubts) == (abs(part) > 0.02)

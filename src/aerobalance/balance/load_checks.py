@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.balance.matrix import BalanceMatrix
-from aerobalance.balance.zeros import GaugeZero
+from aerobalance.balance.zeros import MOVED_IN_RANGE, GaugeZero
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.doubts import Doubt
@@ -150,6 +150,19 @@ def doubts_of_zero(zero: GaugeZero, components: Sequence[str], slope: Array) -> 
         )
         left = np.abs(slope @ zero.drift) / np.sqrt(12)  # rms of a jump in the middle of the run from a straight line
         known.append((left, text, "look for a contact, a loose part or a cable that moved"))
+    for name, one in zero.from_natural.items():
+        if one.of_range > MOVED_IN_RANGE[1] and name in components:
+            unit = units[list(components).index(name)]
+            yield Doubt(
+                "zero",
+                name,
+                f"{zero.source} lies {abs(one.load):.3g} {unit} of {name} ({100 * one.of_range:.2g} % of range) from "
+                "the natural zeros of the calibration, beyond the weight: it is of another day, the bridge has moved "
+                "since the calibration, or what hung on the balance is not what is known of it",
+                "take a zero anew just before the run, or weigh the model",
+                None,
+                unit,
+            )
     for effects, text, advice in known:
         sizes = ", ".join(
             f"{size:.3g} {unit} of {name}" for size, unit, name in zip(effects, units, components, strict=True)

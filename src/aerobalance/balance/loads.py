@@ -19,7 +19,7 @@ from aerobalance.balance.load_formats import FORM_MOMENTS, FORMS, Form, between_
 from aerobalance.balance.load_variance import load_variances
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.matrix_errors import MatrixErrors
-from aerobalance.balance.zeros import SAY_HOW_READ, GaugeZero, gauge_table
+from aerobalance.balance.zeros import REPEATS, SAY_HOW_READ, GaugeZero, gauge_table
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, is_gauge
 from aerobalance.recording.doubts import Doubt
@@ -452,4 +452,11 @@ def _with_loads(recording: Recording, felt: Loads) -> Recording:
         )
     gauges = {name for name in recording.channels if is_gauge(name)}
     declared = recording.declared | (set(felt.components) if gauges and gauges <= recording.declared else set())
-    return replace(recording, channels=channels, gravity_on_zero=felt.zero.pull, from_outputs=True, declared=declared)
+    return replace(
+        recording,
+        channels=channels,
+        gravity_on_zero=felt.zero.pull,
+        from_outputs=True,
+        declared=declared,
+        zero_from_natural={name: one.load for name, one in felt.zero.from_natural.items() if one.of_range > REPEATS},
+    )

@@ -78,8 +78,9 @@ def reduce_outputs(
     if model is not None and not tare and zero is not None:
         carried = weight_on_zero(zero.recordings, model, gravity=gravity, pitched="pitch" in recording)
     counted = settled_zero(zero, balance, carried)
-    if tare:
+    if tare:  # an error of the zero is in them as well
         counted = zero_or_mean(counted, tare, balance)
+        counted = None if counted is None else replace(counted, from_natural={})
         off = wind_off_loads(recording, tare, balance, zero=counted, form=form)
         loads = loads_of_outputs(recording, balance, zero=counted, tare=off, form=form)
         return loads if model is None else replace(loads.without_gravity, ready=True)

@@ -20,6 +20,7 @@ from aerobalance.balance.zeros import (
     Zero,
     beyond_weight,
     change_of_sensitivity,
+    from_natural_zeros,
     gauge_zero,
     in_own_components,
     reads_no_weight,
@@ -114,8 +115,9 @@ def settled_zero(zero: Zero | None, balance: BalanceMatrix, carried: WeightOnZer
     if not zero.recordings:
         return GaugeZero.taken_off(balance)
     read = gauge_zero(zero.recordings, balance, after=zero.after, model_on=False)
+    nothing_on = replace(read, from_natural=from_natural_zeros(read, _NOTHING, COMPONENTS, balance))
     if zero.model_on is False:
-        return read
+        return nothing_on
     if carried is None:
         carried = WeightOnZero(_NOTHING, GravityOnZero(), known=())
     if zero.model_on == "auto" and reads_no_weight(read, carried.weight, balance):
@@ -123,9 +125,10 @@ def settled_zero(zero: Zero | None, balance: BalanceMatrix, carried: WeightOnZer
             f"{read.source} reads as the natural zeros of the calibration do, without the weight: it is taken as read "
             f"with the model off; {argument('model_on')} says which"
         )
-        return read
+        return nothing_on
     if carried.warning:
         warn_quality(carried.warning)
+    read = replace(read, from_natural=from_natural_zeros(read, carried.weight, carried.known, balance))
     return without_weight(_under(read, carried, balance), balance)
 
 

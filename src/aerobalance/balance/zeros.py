@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Final, Literal, Protocol
+from typing import Final, Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,9 @@ CLEARLY: Final = 0.5
 MOVED: Final = 0.05
 """Distance of a zero from the natural zeros, over the calibrated span, up to which it may be drift since then."""
 
+REPEATS: Final = 1e-3
+"""The same over half of it, up to which zeros are as good as a balance repeats and nothing is said of it."""
+
 MOVED_IN_NOISE: Final = 100.0
 """Change of a bridge within or between zeros over the noise of a reading, from which it may be no drift."""
 
@@ -42,6 +45,21 @@ SAY_HOW_READ: Final = (
     'model_on=False with nothing on it, or model_on="auto" to tell it by the natural zeros of the calibration'
 )
 """What is missing of a zero that does not say whether the model was on the balance."""
+
+
+class FromNatural(NamedTuple):
+    """How far a zero lies from the natural zeros of the calibration, beyond the weight it was read under.
+
+    Attributes
+    ----------
+    load
+        As a load of a component [N, N*m].
+    of_range
+        Its size over half the calibrated range [1].
+    """
+
+    load: float
+    of_range: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,6 +88,9 @@ class GaugeZero:
         0 elsewhere. It is in `u`.
     drifted
         Whether a bridge moved by more than that from the beginning to the end of the run.
+    from_natural
+        How far it lies from the natural zeros of the calibration, by component of the loads; without those where the
+        weight is not known, and empty without natural zeros.
     """
 
     values: Array
@@ -82,6 +103,7 @@ class GaugeZero:
     model_on: bool | None = None
     moved: Array = field(default_factory=lambda: np.zeros(1))
     drifted: bool = False
+    from_natural: Mapping[str, FromNatural] = field(default_factory=dict)
 
     @classmethod
     def taken_off(cls, balance: BalanceMatrix) -> GaugeZero:
@@ -263,6 +285,39 @@ def seen_on_zero(zero: GaugeZero, balance: BalanceMatrix) -> Array:
     size = np.ptp(np.array(balance.calibrated), axis=0)
     clear = np.isfinite(seen).all() and np.max(np.abs(seen) / size) > MOVED
     return seen if clear else nothing
+
+
+def from_natural_zeros(
+    zero: GaugeZero, weight: Array, known: Collection[str], balance: BalanceMatrix
+) -> dict[str, FromNatural]:
+    """Tell how far a zero lies from the natural zeros, beyond its weight, by component; empty where there are none.
+
+    Parameters
+    ----------
+    zero
+        The mean outputs, with what they were read under still in them.
+    weight
+        What hung on the balance along NF PM SF YM RM AF, shape (6,) [N, N*m].
+    known
+        Components along which that is known.
+    balance
+        The balance matrix.
+    """
+    if balance.natural_zero is None:
+        return {}
+    seen = balance.loads((zero.values - balance.natural_zero)[None, :]).loads[0]
+    half = np.ptp(np.array(balance.calibrated), axis=0) / 2
+    if balance.direct is None:
+        names, on_it = balance.components, in_own_components(weight, balance)
+    else:
+        names, on_it = COMPONENTS, weight
+        seen, half = balance.direct @ seen, np.abs(balance.direct) @ half
+    left = seen - on_it
+    return {
+        name: FromNatural(float(load), float(abs(load) / size))
+        for name, load, size in zip(names, left, half, strict=True)
+        if np.isfinite(load) and size > 0 and (name in known or name not in COMPONENTS)
+    }
 
 
 def beyond_weight(point: Array, weight: Array, known: Collection[str], balance: BalanceMatrix) -> Array:

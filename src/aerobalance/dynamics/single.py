@@ -54,6 +54,8 @@ class Dynamics(ModalModel):
         Covariance of `parameters`, shape (4 + 3 m, 4 + 3 m), in the units above; all zero where not given.
     further_modes
         The m modes beside the first.
+    identified_load
+        Largest load of the record that they were identified from [N]; 0 where that is not known.
     """
 
     component: str
@@ -63,6 +65,7 @@ class Dynamics(ModalModel):
     delay: float = 0.0
     covariance: Array = field(default_factory=lambda: np.zeros((0, 0)))
     further_modes: tuple[Mode, ...] = ()
+    identified_load: float = 0.0
 
     def __post_init__(self) -> None:
         if self.component not in COMPONENTS:
@@ -81,6 +84,8 @@ class Dynamics(ModalModel):
             raise ValueError(f"covariance must have shape ({size}, {size}), not {self.covariance.shape}")
         if not np.isfinite(self.covariance).all() or (np.diag(self.covariance) < 0).any():
             raise ValueError("covariance must be finite, with variances of zero or more")
+        if not 0 <= self.identified_load < np.inf:
+            raise ValueError(f"identified_load must be zero or more and finite, not {self.identified_load}")
 
     def __repr__(self) -> str:
         told = {name: self.uncertainty(name) for name in (*PARAMETERS, "natural_frequency", "damping_ratio")}
@@ -129,7 +134,8 @@ class Dynamics(ModalModel):
         further = np.reshape(values[len(PARAMETERS) :], (-1, len(MODE_PARAMETERS)))
         mass, stiffness, damping, delay = (float(value) for value in values[: len(PARAMETERS)])
         modes = tuple(Mode(*(float(value) for value in row)) for row in further)
-        return Dynamics(self.component, mass, stiffness, damping, delay, further_modes=modes)
+        load = self.identified_load
+        return Dynamics(self.component, mass, stiffness, damping, delay, further_modes=modes, identified_load=load)
 
     @property
     def exact(self) -> Dynamics:

@@ -44,7 +44,7 @@ from aerobalance.io.coupled_part import (
     coupled_from,
     coupled_payload,
 )
-from aerobalance.recording.components import COMPONENTS, mass_unit
+from aerobalance.recording.components import COMPONENTS, mass_unit, si_unit
 from aerobalance.recording.errors import ReadError, warn_quality
 
 Kind = Literal["axial", "coupled"]
@@ -69,6 +69,7 @@ class _ComponentDynamics(Loose):
     natural_frequency: PositiveValue | None = None
     modes: list[_Mode] = Field(default_factory=list)
     covariance: Covariance | None = None
+    identified_load: NotNegativeValue | None = None
 
 
 class _SeparateFile(Loose):
@@ -109,6 +110,9 @@ def dynamics_payload(dynamics: Dynamics, *, details: Mapping[str, object] | None
     if dynamics.further_modes:
         entry["modes"] = [_mode_payload(dynamics, number) for number in range(1, 1 + len(dynamics.modes))]
     entry["covariance"] = {"parameters": list(dynamics.parameters), "matrix": dynamics.covariance.tolist()}
+    if dynamics.identified_load:
+        unit = si_unit(dynamics.component)
+        entry["identified_load"] = {"value": dynamics.identified_load, "unit": unit}
     if details:
         entry["fit"] = dict(details)
     return entry
@@ -183,6 +187,9 @@ def read_dynamics(path: Path | str) -> dict[str, Dynamics]:
         for number, mode in enumerate(entry.modes[1:], start=2):
             deviations |= {f"{item}_{number}": getattr(mode, f"u_{item}") for item in MODE_PARAMETERS}
         covariance = checked_covariance(file, f"{key}.covariance", entry.covariance, deviations)
+        largest = entry.identified_load
+        if largest is not None:
+            check_unit(file, f"{key}.identified_load.unit", largest, si_unit(name))
         try:
             result[name] = Dynamics(
                 component=name,
@@ -191,6 +198,7 @@ def read_dynamics(path: Path | str) -> dict[str, Dynamics]:
                 damping=entry.damping.value,
                 delay=entry.delay.value,
                 covariance=covariance,
+                identified_load=0.0 if largest is None else largest.value,
                 further_modes=tuple(
                     Mode(mode.natural_frequency, mode.damping_ratio, mode.share) for mode in entry.modes[1:]
                 ),

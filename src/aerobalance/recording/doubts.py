@@ -19,12 +19,13 @@ KINDS: Final[Mapping[str, str]] = {
     "ground gain": "the load shows another size of the ground's motion than its sensor",
     "attitude delay": "the inclinometer is late or early against the load",
     "attitude gain": "the load shows another size of the weight's change than the inclinometer",
+    "units": "loads are far larger than those that the dynamics were identified with, or than the weight lets them be",
     "attitude range": "an angle is larger than pitch and roll can be",
     "turning": "the ground turns faster than the angles show",
     "wild samples": "single samples are far from their neighbours",
     "stuck channel": "a channel repeats the same reading, for some time or all along",
     "clipping": "readings rest on a limit",
-    "zero": "the bridges moved while their zero was read, or between two zeros, by more than they drift",
+    "zero": "the bridges moved by more than they drift: while a zero was read, between two, or since the calibration",
     "noise level": "the noise of the readings is not that of the record of noise",
     "colored noise": "the noise of the readings may not be white",
     "hum": "a line at a frequency of the mains is taken for force, and may be hum",
@@ -97,8 +98,8 @@ class Assumption:
     Attributes
     ----------
     kind
-        What it is: ``"load filter"``, ``"gain"``, ``"cross-axis"``, ``"natural frequency"``, ``"colored noise"`` or
-        ``"hum"``.
+        What it is: ``"load filter"``, ``"gain"``, ``"zero"``, ``"pitch zero"``, ``"roll zero"``, ``"mass"``,
+        ``"cross-axis"``, ``"natural frequency"``, ``"colored noise"`` or ``"hum"``.
     component
         Component whose force is meant.
     text

@@ -22,11 +22,12 @@ from aerobalance.estimation.independent_record import SingleRecord, moves_along_
 from aerobalance.estimation.prior import generalised_least_squares
 from aerobalance.estimation.record import ComponentRecord, Through
 from aerobalance.estimation.spectra.line_noise import Hum
-from aerobalance.motion.platform import SystematicParameter
+from aerobalance.motion.platform import SystematicParameter, driven_column
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import si_unit
+from aerobalance.recording.components import STANDARD_GRAVITY, si_unit
 from aerobalance.recording.doubts import Assumption
 from aerobalance.recording.errors import FitError
+from aerobalance.recording.gravity import Gravity
 from aerobalance.recording.sensors import Transfer, filtered
 
 
@@ -44,6 +45,12 @@ class AssumptionSettings:
         Angle by which an accelerometer looks aside [rad].
     frequency
         Relative error of a natural frequency [1].
+    angle
+        Error of the zero of an angle of the balance [rad].
+    mass
+        Relative error of a mass [1].
+    matters
+        Effect of an angle's zero over the scatter of the force, from which it is told.
     told
         Its standard uncertainty by the record, over that, up to which the record tells it.
     """
@@ -52,6 +59,9 @@ class AssumptionSettings:
     gain: float = 0.01
     aside: float = float(np.radians(1.0))
     frequency: float = 0.005
+    angle: float = float(np.radians(0.1))
+    mass: float = 0.01
+    matters: float = 0.1
     told: float = 0.5
 
 
@@ -91,6 +101,14 @@ def assumptions_of(
         late = float(np.sqrt(2)) / (2 * np.pi * corner)  # by so much it delays what is slow, and the steps
         at_steps = np.sum([step.height**2 for step in fit.steps]) * late / (fit.force.size * record.interval)
         yield _told("load filter", name, text, float(np.hypot(effect_of(change), np.sqrt(at_steps))), unit)
+    shift = record.recording.zero_from_natural.get(name, 0.0)
+    if shift:
+        text = (
+            f"the zero of {name} lies {abs(shift):.3g} {unit} from the natural zeros of the calibration, beyond the "
+            "weight: all of that is taken for what the bridges moved since then"
+        )
+        yield Assumption("zero", name, text, abs(shift), unit)
+    yield from _of_angles(record, unit, least=SETTINGS.matters * float(np.sqrt(np.mean(fit.variance))))
     if moves_along_axis(record):
         if record.noise is None and fit.learned.color is None:
             yield from noise_assumed(fit.reading, fit.learned, name, unit=unit)
@@ -108,6 +126,32 @@ def assumptions_of(
         yield _told("cross-axis", name, text, effect_of(record.felt_under(item)), unit)
 
 
+def _of_angles(record: ComponentRecord, unit: str, *, least: float) -> Iterator[Assumption]:
+    """What is assumed of the zeros of the angles, which tell the weight where no accelerometer reads gravity too.
+
+    Run and zero at one attitude have the same error, so that none is left; effects below `least` are not told.
+    """
+    recording, name = record.recording, record.dynamics.component
+    if any(channel.coupling == "dc" for channel in recording):
+        return
+    still = np.zeros(recording.samples)
+    angles = {
+        angle: np.nan_to_num(recording.channel(angle).values, nan=0.0) if angle in recording else still
+        for angle in ("pitch", "roll")
+    }
+    slopes = Gravity.of(angles["pitch"], angles["roll"], gravity=STANDARD_GRAVITY).slopes
+    for angle in angles:
+        if angle not in recording or recording.channel(angle).zero_uncertainty > 0:
+            continue
+        slope = slopes[angle] - recording.gravity_on_zero.slope(f"{angle} zero")
+        single = moves_along_axis(record)
+        item = SystematicParameter("", "", slope[:, driven_column(name)] if single else slope, 0.0)
+        effect = SETTINGS.angle * float(np.sqrt(np.mean(record.as_force(item) ** 2)))
+        if effect > least:
+            text = f"the zero of {angle} is exact: {np.degrees(SETTINGS.angle):.1g} deg would change the force by {{}}"
+            yield _told(f"{angle} zero", name, text, effect, unit)
+
+
 def _of_single(record: SingleRecord, fit: SmootherResult, unit: str) -> Iterator[Assumption]:
     """What is assumed of the gain of a load and of the natural frequency."""
     name, own = record.dynamics.component, record.dynamics
@@ -116,6 +160,11 @@ def _of_single(record: SingleRecord, fit: SmootherResult, unit: str) -> Iterator
         net = fit.force + record.motion.force(own.mass)
         text = f"the gain of {name} is exact: {100 * SETTINGS.gain:g} % would change the force by {{}}"
         yield _told("gain", name, text, SETTINGS.gain * float(np.sqrt(np.mean(net**2))), unit)
+    acting = record.motion.specific_force + record.motion.gravity_on_zero
+    if own.uncertainty("mass") == 0 and acting.any():
+        effect = SETTINGS.mass * own.mass * float(np.sqrt(np.mean(acting**2)))
+        text = f"the mass of {own.mass:.6g} kg is exact: {100 * SETTINGS.mass:g} % would change the force by {{}}"
+        yield _told("mass", name, text, effect, unit)
     stated = own.uncertainty("natural_frequency") / own.natural_frequency
     if stated > SETTINGS.told * SETTINGS.frequency:
         return

@@ -1,4 +1,4 @@
-"""Readings of a run that are not physical: outliers (wild samples), stuck samples, dead channels, impossible angles.
+"""Readings of a run that are not physical: outliers (wild samples), stuck samples, dead channels, impossible sizes.
 
 In the loads, wild and stuck samples are made missing (NaN). In the channels of the ground's motion, stuck samples are
 made missing, and wild ones are replaced by the value of a polynomial fitted to their neighbours.
@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from aerobalance.balance.loads import Loads
 from aerobalance.dynamics.balance_dynamics import BalanceDynamics
+from aerobalance.dynamics.independent import IndependentDynamics
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.components import si_unit
+from aerobalance.recording.components import STANDARD_GRAVITY, si_unit
 from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import FitError, argument
 from aerobalance.recording.recording import Recording
@@ -34,6 +35,18 @@ BESIDE: Final = 8
 
 DEGREE: Final = 5
 """Degree of that polynomial."""
+
+TOO_LARGE: Final = 300.0
+"""Load over the largest one that the dynamics were identified with, from which its unit is asked about."""
+
+TOO_HEAVY: Final = 10.0
+"""Weight over the largest load read, from which mass and unit are asked about: the load contains the weight."""
+
+UNIT_ADVICE: Final = (
+    "check the unit of the channel, such as N for kN; if it is right, look whether dynamics that were found at so "
+    "small a load hold there"
+)
+"""What to do about a load that is far larger than those that the dynamics were identified with."""
 
 
 def without_wild_samples(
@@ -87,7 +100,7 @@ def without_wild_samples(
 
 
 def impossible_channels(given: Recording | Loads, dynamics: BalanceDynamics) -> tuple[Doubt, ...]:
-    """Return the doubts about channels as a whole: dead ones, and angles beyond their largest magnitude.
+    """Return the doubts about channels as a whole: dead ones, impossible angles, and loads of an impossible size.
 
     Parameters
     ----------
@@ -99,7 +112,13 @@ def impossible_channels(given: Recording | Loads, dynamics: BalanceDynamics) -> 
     """
     recording = given.recording if isinstance(given, Loads) else given
     present = [name for name in dynamics.components if name in recording]
-    return tuple(
+    sizes = (doubt for name in present for doubt in _doubts_of_size(recording, dynamics.block_of(name), name))
+    return (*_doubts_of_channels(recording, dynamics, present), *sizes)
+
+
+def _doubts_of_channels(recording: Recording, dynamics: BalanceDynamics, present: Sequence[str]) -> Iterator[Doubt]:
+    """Doubts about channels as a whole."""
+    return (
         doubt
         for name, channel in recording.channels.items()
         if name in present or _of_ground(name)
@@ -107,6 +126,32 @@ def impossible_channels(given: Recording | Loads, dynamics: BalanceDynamics) -> 
         if component in present
         for doubt in _doubts_of_channel(recording, channel, component)
     )
+
+
+def _doubts_of_size(recording: Recording, dynamics: BalanceDynamics, name: str) -> Iterator[Doubt]:
+    """Doubts about the unit of a load, or the mass, by what the dynamics say of their sizes."""
+    own = dynamics.get(name) if isinstance(dynamics, IndependentDynamics) else None
+    if own is None:
+        return
+    unit, load = si_unit(name), np.abs(recording.channel(name).values)
+    largest = float(np.nanmax(load, initial=0.0))
+    if own.identified_load > 0 and largest > TOO_LARGE * own.identified_load:
+        text = (
+            f"{name} reads up to {largest:.4g} {unit}, {largest / own.identified_load:.3g} times the largest load "
+            f"that its dynamics were identified with ({own.identified_load:.4g} {unit})"
+        )
+        yield Doubt("units", name, text, UNIT_ADVICE, None, unit)
+    if "pitch" not in recording or not largest:
+        return
+    roll = recording.channel("roll").values if "roll" in recording else np.zeros(recording.samples)
+    weight = own.weight(name, pitch=recording.channel("pitch").values, roll=roll, gravity=STANDARD_GRAVITY)
+    usual = float(np.sqrt(np.nanmean(weight**2)))
+    if usual > TOO_HEAVY * largest:
+        text = (
+            f"the weight of {own.mass:.6g} kg along {name} is {usual:.4g} {unit}, {usual / largest:.3g} times the "
+            f"largest load that was read ({largest:.4g} {unit})"
+        )
+        yield Doubt("units", name, text, "check the mass, the angle and the unit of the load", None, unit)
 
 
 def _of_ground(name: str) -> bool:

@@ -7,7 +7,7 @@ the window that is used.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -161,7 +161,8 @@ def identify_decay(
     ring = found.ring
     _check(ring, recording.name, component)
     kept = _kept_modes(ring, modes, f"{recording.name}, {component}")
-    dynamics = _dynamics(ring, component, value, uncertainty, kept=kept)
+    largest = float(np.nanmax(np.abs(recording.channel(component).values)))
+    dynamics = replace(_dynamics(ring, component, value, uncertainty, kept=kept), identified_load=largest)
     doubts = doubts_of(found, dynamics, recording, kept=kept)
     notes = [*map(str, doubts), *notes_of(found, recording)]
     for note in notes:
