@@ -30,6 +30,7 @@ def test_six_components_from_millivolts_to_forces(
         assert len(account["steps"][row["component"]]) == 1, row
     for mode in account["modes"]:
         assert mode["identified_frequency"] == pytest.approx(mode["natural_frequency"], rel=1e-4)
+    assert not [text for text in account["warnings"] if "no zero" in text]
     page = (tmp_path / "six.html").read_text(encoding="utf-8")
     assert page.count("<svg") == 2
     assert "http" not in page

@@ -157,7 +157,7 @@ def weighed(folder: DemoFolder, balance: CoupledBalance, files: BalanceFiles) ->
         for number, (pitch, roll) in enumerate(ATTITUDES, 1)
     ]
     mass = folder.path / "mass.json"
-    weighing.weigh(paths, mass, files=BalanceFiles.of(files.balance))
+    weighing.weigh(paths, mass, files=files)
     return mass
 
 
