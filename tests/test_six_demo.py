@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from aerobalance.app.cli import main
 from aerobalance.app.demos import six_demo
+from aerobalance.estimation.applied_force import Force
+from aerobalance.estimation.force import estimate_force
+from aerobalance.recording.errors import warn_quality
 
 
 @pytest.mark.slow
@@ -18,6 +22,12 @@ def test_six_components_from_millivolts_to_forces(
     monkeypatch.setattr(six_demo, "DURATION", 0.3)  # a third of the run takes a third of the time
     monkeypatch.setattr(six_demo, "INSTANT", 0.18013)
     monkeypatch.setattr(six_demo, "RELEASE", 0.5)
+
+    def doubted(*args: Any, **settings: Any) -> Force:
+        warn_quality("the coupling is neglected")  # a run of a third of the length may show nothing of it
+        return estimate_force(*args, **settings)
+
+    monkeypatch.setattr(six_demo, "estimate_force", doubted)  # only the run that neglects the coupling calls it here
     # one seed: what is random about balances and noise is tested where each part is
     assert main(["demo", "--six", "--out", str(tmp_path), "--seed", "3", "--json"]) == 0
     account = json.loads(capsys.readouterr().out)
@@ -30,7 +40,8 @@ def test_six_components_from_millivolts_to_forces(
         assert len(account["steps"][row["component"]]) == 1, row
     for mode in account["modes"]:
         assert mode["identified_frequency"] == pytest.approx(mode["natural_frequency"], rel=1e-4)
-    assert not [text for text in account["warnings"] if "no zero" in text]
+    # the zero of the calibration is taken, and the run that neglects the coupling says nothing of its own
+    assert account["warnings"] == [], account["warnings"]
     page = (tmp_path / "six.html").read_text(encoding="utf-8")
     assert page.count("<svg") == 2
     assert "http" not in page

@@ -26,6 +26,7 @@ from aerobalance.io.balfit_file import write_balfit_schedule
 from aerobalance.io.dynamics_file import read_coupled
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, si_unit
+from aerobalance.recording.errors import kept_warnings
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.version import VERSION
 from aerobalance.simulation import SixComponentRig
@@ -213,6 +214,7 @@ def _diagonal(run: Path, dynamics: Path, files: BalanceFiles) -> Mapping[str, Ar
     """Return the forces if coupling is neglected: only the diagonals of the same matrices are used, (n,) [N, N*m].
 
     The band is limited to the modes to save time: the estimator would search long for causes of the model's errors.
+    What is doubted of it is not said, as this model is wrong on purpose: it reads like doubts of the result.
     """
     known = read_coupled(dynamics)
     band = 1.2 * max(mode.natural_frequency for mode in known.modes)
@@ -223,7 +225,7 @@ def _diagonal(run: Path, dynamics: Path, files: BalanceFiles) -> Mapping[str, Ar
         covariance=np.zeros_like(known.covariance),
     )
     recording = replace(files.loads(read(run), model=alone).recording, from_outputs=False)
-    with collected_warnings():
+    with kept_warnings():
         return {name: found.values for name, found in estimate_force(recording, alone, bandwidth=band).items()}
 
 
