@@ -6,12 +6,15 @@ import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from aerobalance.app.cli import main
 from aerobalance.app.demos import six_demo
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.force import estimate_force
+from aerobalance.io import read
+from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import warn_quality
 
 
@@ -42,6 +45,14 @@ def test_six_components_from_millivolts_to_forces(
         assert mode["identified_frequency"] == pytest.approx(mode["natural_frequency"], rel=1e-4)
     # the zero of the calibration is taken, and the run that neglects the coupling says nothing of its own
     assert account["warnings"] == [], account["warnings"]
+    truth, found = read(tmp_path / "truth.csv"), read(tmp_path / "force.csv")
+    assert list(truth.channels) == list(COMPONENTS)
+    inner = slice(round(0.05 * truth.samples), truth.samples - round(0.05 * truth.samples))  # as the page says
+    for row in account["components"]:
+        name, percent = row["component"], 100 / row["half_range"]
+        error = percent * (found.channel(name).values - truth.channel(name).values)[inner]
+        # the files have the digits that matter
+        assert row["error_percent"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-3), row
     page = (tmp_path / "six.html").read_text(encoding="utf-8")
     assert page.count("<svg") == 2
     assert "http" not in page

@@ -2,7 +2,8 @@
 
 A random balance with a rigid model is calibrated, weighed, identified from six releases, and then put through a run:
 gusts on all components, a release and a sting that shakes. Everything is recorded as gauge outputs in mV/V, and every
-step reads files and calls the functions behind the commands. The true forces are used only to judge the results.
+step reads files and calls the functions behind the commands. The true forces are used only to judge the results; they
+are written to `truth.csv`.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from aerobalance.estimation.force import estimate_force
 from aerobalance.io import read, write_recording
 from aerobalance.io.balfit_file import write_balfit_schedule
 from aerobalance.io.dynamics_file import read_coupled
-from aerobalance.recording.channel import Array
+from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.errors import kept_warnings
 from aerobalance.recording.recording import Recording
@@ -85,6 +86,8 @@ class DemoFolder:
 def run_six(out: Path, *, seed: int | None = None) -> Result:
     """Return the errors of the forces of the whole chain [% of half range], and write them to `six.html`.
 
+    The true forces of the run are written to `truth.csv`.
+
     Parameters
     ----------
     out
@@ -105,6 +108,7 @@ def run_six(out: Path, *, seed: int | None = None) -> Result:
         mass = weighed(folder, balance, files)
         dynamics = identified(folder, balance, files, mass)
         run, simulation = _run(folder, balance)
+        _write_truth(out / "truth.csv", simulation)
         found = force.force(run, out / "force.csv", dynamics=dynamics, files=files)
         diagonal = _diagonal(run, dynamics, files)
     forces = read(out / "force.csv")
@@ -200,6 +204,12 @@ def _run(folder: DemoFolder, balance: CoupledBalance) -> tuple[Path, SixSimulati
         base=random_motion(folder.generator, Band(2, 40), rms=np.array([1, 1, 1, 1, 1, 1]), period=2 * DURATION),
     )
     return folder.record("run", rig, DURATION)
+
+
+def _write_truth(path: Path, simulation: SixSimulation) -> None:
+    """Write the loads that were really applied, over the time of the run."""
+    truth = {name: Channel(name, simulation.applied[:, place], si_unit(name)) for place, name in enumerate(COMPONENTS)}
+    write_recording(path, Recording.from_columns(simulation.recording.time, truth, name=path.stem))
 
 
 def largest_felt(balance: CoupledBalance, band: Band) -> float:
