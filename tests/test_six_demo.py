@@ -48,14 +48,35 @@ def test_six_components_from_millivolts_to_forces(
     truth, found = read(tmp_path / "truth.csv"), read(tmp_path / "force.csv")
     assert list(truth.channels) == list(COMPONENTS)
     inner = slice(round(0.05 * truth.samples), truth.samples - round(0.05 * truth.samples))  # as the page says
+    calm = np.abs(truth.time[inner] - 0.18013) > 0.001
     for row in account["components"]:
         name, percent = row["component"], 100 / row["half_range"]
         error = percent * (found.channel(name).values - truth.channel(name).values)[inner]
+        u = percent * found.channel(f"u_{name}").values[inner]
         # the files have the digits that matter
         assert row["error_percent"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-3), row
+        assert row["calm_error_percent"] == pytest.approx(np.sqrt(np.mean(error[calm] ** 2)), rel=1e-3), row
+        assert row["expanded_percent"] == pytest.approx(2 * np.sqrt(np.mean(u**2)), rel=1e-3), row
     page = (tmp_path / "six.html").read_text(encoding="utf-8")
     assert page.count("<svg") == 2
     assert "http" not in page
+
+
+@pytest.mark.parametrize(
+    ("errors", "verdict"),
+    [((0.018, 0.019), "within U for every component"), ((0.018, 0.021), "beyond U: AF")],
+)
+def test_the_table_says_whether_an_error_is_within_the_expanded_uncertainty(
+    errors: tuple[float, float], verdict: str
+) -> None:
+    rest = {"raw_percent": 5.0, "diagonal_percent": 1.0, "calm_error_percent": 0.01, "cover_percent": 95.0}
+    rows = [
+        {"component": name, "error_percent": error, "uncertainty_percent": 0.01, "expanded_percent": 0.02, **rest}
+        for name, error in zip(("RM", "AF"), errors, strict=True)
+    ]
+    text = six_demo.summary({"modes": [], "components": rows, "page": "six.html", "seed": 4})
+    assert "U (k = 2)" in text
+    assert f"error of the coupled dynamics{': ' if 'within' in verdict else ' '}{verdict}" in text
 
 
 def test_two_demonstrations_at_once_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
