@@ -62,6 +62,40 @@ def test_of_coupled_components_the_slowest_mode_counts(rng):
         estimate_force(fast, coupled)
 
 
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "us")])
+def test_times_in_another_unit_than_they_say_are_refused(factor, unit):
+    force, said = worked_out(replace(made("soft 30 Hz, 100 N"), rate=RATE / factor), dynamics(), {})
+    assert force is None
+    assert said[0].startswith(
+        f"record: AF rings at {FREQUENCY / factor:.4g} Hz by a clock of {RATE / factor:.6g} samples"
+    )
+    assert f"a natural frequency of the dynamics, {FREQUENCY:.4g} Hz, and this is above half the rate" in said[0]
+    assert f'time_unit = "{unit}"' in said[0]
+    assert worked_out(made("soft 30 Hz, 100 N"), dynamics(), {})[0] is not None
+
+
+def test_of_coupled_components_one_mode_that_rings_tells_the_unit_of_the_times(rng):
+    _, loads, pitch = shaken(rng, pair())
+    run = recording_of(loads + PAIR_NOISE * rng.normal(size=loads.shape), pitch=pitch)
+    slow = replace(run, rate=run.rate / 1000)
+    with pytest.raises(FitError, match=r'That is 1/1000 of a natural frequency .* put time_unit = "ms"'):
+        estimate_force(slow, pair())
+
+
+@pytest.mark.parametrize("period", [None, 45.0])
+def test_a_slow_record_of_steady_loads_is_no_wrong_unit(rng, period):
+    # twice a second FREQUENCY / 1000 could be seen and nothing rings there; steps every 45 s have a harmonic near
+    time = np.arange(2000) / 2.0
+    load = 300.0 + rng.normal(0, 0.2, time.size)
+    load += 50.0 * (np.sin(2e-3 * np.pi * time) if period is None else np.sign(np.sin(2 * np.pi * time / period)))
+    if period is not None:
+        assert 3 / period == pytest.approx(FREQUENCY / 1000, rel=0.02)
+    run = Recording.from_columns(time, {"AF": Channel("AF", load, "N")})
+    found = ab.estimate_force(run, dynamics()).only.values
+    # far below the natural frequency the force is the balance load
+    assert np.mean(found) == pytest.approx(np.mean(load), abs=0.1)
+
+
 def test_a_part_of_a_long_record_may_be_shorter_than_a_period(rng):
     known = dynamics(frequency=0.05)
     whole = Recording.from_columns(np.arange(60_000) / RATE, {"AF": Channel("AF", rng.normal(size=60_000), "N")})
