@@ -19,7 +19,7 @@ from aerobalance.estimation.force import estimate_force
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.doubts import Verdict
-from aerobalance.recording.errors import DataQualityWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError, ReadError
 from aerobalance.recording.recording import Recording
 from faults.cases import all_cases, dynamics
 from faults.scene import FREQUENCY, Record
@@ -202,6 +202,35 @@ def test_one_dead_channel_of_coupled_components_is_named_for_all(reading, rng):
     dead = [(doubt.component, doubt.effect) for doubt in force.doubts if doubt.kind == "stuck channel"]
     assert dead == [("NF", None), ("PM", reading or None)]
     assert force.verdict is not Verdict.FIT
+
+
+@pytest.mark.parametrize(
+    ("heading", "status", "advice"),
+    [
+        ("AF [mV/V]", 2, "the output of a bridge is named rAF, and to have loads of it give --balance balance.json"),
+        ("AF [mV]", 2, "the output of a bridge is named rAF, and to have loads of it give --balance balance.json"),
+        ("rAF [mV/V]", 1, "gauge outputs become loads by a balance matrix: weigh, identify decay and rig, force"),
+        ("Waage Fx [N]", 1, "`aerobalance map FILE -o map.toml` writes one to complete, and --map takes it"),
+    ],
+)
+def test_a_load_that_is_not_there_is_told_what_gives_it(tmp_path, capsys, heading, status, advice):
+    run, known, out = (str(tmp_path / name) for name in ("run.csv", "d.json", "out.csv"))
+    rows = "".join(f"{i / RATE},{np.cos(i):.4f}\n" for i in range(200))
+    (tmp_path / "run.csv").write_text(f"time [s],{heading}\n{rows}")
+    write_dynamics(known, {"AF": dynamics()})
+    identify = ["identify", "decay", run, "--component", "AF", "--mass", "177"]
+    for command in (["force", run, "--dynamics", known, "-o", out], identify, ["weigh", run]):
+        assert main(command) == status
+        assert advice in capsys.readouterr().err
+
+
+def test_a_unit_of_another_kind_and_a_load_beside_others_are_told_as_before(tmp_path):
+    (tmp_path / "run.csv").write_text("time [s],AF [m]\n0,1\n1,2\n")
+    with pytest.raises(ReadError, match=r"a length, but a force is expected; allowed: N, kN, lbf, kgf$"):
+        ab.read(tmp_path / "run.csv")
+    run = Recording.from_columns(np.arange(3) / RATE, {"AF": Channel("AF", np.zeros(3), "N")}, name="run")
+    with pytest.raises(FitError, match=r"^run has no channel PM; it has AF$"):
+        run.channel("PM")
 
 
 def test_a_clipped_channel_is_told_once(tmp_path, monkeypatch, capsys):
