@@ -18,7 +18,7 @@ from aerobalance.estimation.checks.outliers import impossible_channels
 from aerobalance.estimation.force import estimate_force
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.channel import Channel
-from aerobalance.recording.doubts import Verdict
+from aerobalance.recording.doubts import KINDS, Doubt, Verdict
 from aerobalance.recording.errors import DataQualityWarning, FitError, ReadError
 from aerobalance.recording.recording import Recording
 from faults.cases import all_cases, dynamics
@@ -231,6 +231,25 @@ def test_a_unit_of_another_kind_and_a_load_beside_others_are_told_as_before(tmp_
     run = Recording.from_columns(np.arange(3) / RATE, {"AF": Channel("AF", np.zeros(3), "N")}, name="run")
     with pytest.raises(FitError, match=r"^run has no channel PM; it has AF$"):
         run.channel("PM")
+
+
+def test_a_force_is_printed_with_its_verdict_and_what_is_doubted():
+    case = CASES["2 % clipped above, 0-20 Hz"]
+    force, _ = worked_out(case.record(0), case.dynamics, {})
+    *_, verdict, doubted = repr(force).splitlines()
+    assert verdict == "verdict: fit for use"
+    assert doubted == f"doubted, AF: {KINDS['clipping']}"
+    assert f"<p>{verdict}</p><p>{doubted}</p>" in force._repr_html_()
+    # of more kinds than are named the number of the others is said
+    (part,) = force.values()
+    kinds = ("clipping", "hum", "turning", "zero", "resolution")
+    doubts = tuple(Doubt(kind, "AF", "") for kind in (*kinds, "hum"))
+    shown = repr(replace(force, parts={"AF": replace(part, doubts=doubts)})).splitlines()
+    assert shown[-5:-1] == [
+        "verdict: doubtful",
+        *(f"doubted, AF: {KINDS[kind]}" for kind in ("clipping", "hum", "turning")),
+    ]
+    assert shown[-1] == "doubted: 2 more, in doubts"
 
 
 def test_a_clipped_channel_is_told_once(tmp_path, monkeypatch, capsys):
