@@ -18,8 +18,8 @@ from aerobalance.estimation.checks.outliers import impossible_channels
 from aerobalance.estimation.force import estimate_force
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.channel import Channel
-from aerobalance.recording.doubts import Verdict
-from aerobalance.recording.errors import DataQualityWarning, FitError
+from aerobalance.recording.doubts import KINDS, Doubt, Verdict
+from aerobalance.recording.errors import DataQualityWarning, FitError, ReadError
 from aerobalance.recording.recording import Recording
 from faults.cases import all_cases, dynamics
 from faults.scene import FREQUENCY, Record
@@ -60,6 +60,40 @@ def test_of_coupled_components_the_slowest_mode_counts(rng):
     fast = replace(run, rate=1.1 * 200 * slowest)
     with pytest.raises(FitError, match="less than one period of the slowest mode"):
         estimate_force(fast, coupled)
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "us")])
+def test_times_in_another_unit_than_they_say_are_refused(factor, unit):
+    force, said = worked_out(replace(made("soft 30 Hz, 100 N"), rate=RATE / factor), dynamics(), {})
+    assert force is None
+    assert said[0].startswith(
+        f"record: AF rings at {FREQUENCY / factor:.4g} Hz by a clock of {RATE / factor:.6g} samples"
+    )
+    assert f"a natural frequency of the dynamics, {FREQUENCY:.4g} Hz, and this is above half the rate" in said[0]
+    assert f'time_unit = "{unit}"' in said[0]
+    assert worked_out(made("soft 30 Hz, 100 N"), dynamics(), {})[0] is not None
+
+
+def test_of_coupled_components_one_mode_that_rings_tells_the_unit_of_the_times(rng):
+    _, loads, pitch = shaken(rng, pair())
+    run = recording_of(loads + PAIR_NOISE * rng.normal(size=loads.shape), pitch=pitch)
+    slow = replace(run, rate=run.rate / 1000)
+    with pytest.raises(FitError, match=r'That is 1/1000 of a natural frequency .* put time_unit = "ms"'):
+        estimate_force(slow, pair())
+
+
+@pytest.mark.parametrize("period", [None, 45.0])
+def test_a_slow_record_of_steady_loads_is_no_wrong_unit(rng, period):
+    # twice a second FREQUENCY / 1000 could be seen and nothing rings there; steps every 45 s have a harmonic near
+    time = np.arange(2000) / 2.0
+    load = 300.0 + rng.normal(0, 0.2, time.size)
+    load += 50.0 * (np.sin(2e-3 * np.pi * time) if period is None else np.sign(np.sin(2 * np.pi * time / period)))
+    if period is not None:
+        assert 3 / period == pytest.approx(FREQUENCY / 1000, rel=0.02)
+    run = Recording.from_columns(time, {"AF": Channel("AF", load, "N")})
+    found = ab.estimate_force(run, dynamics()).only.values
+    # far below the natural frequency the force is the balance load
+    assert np.mean(found) == pytest.approx(np.mean(load), abs=0.1)
 
 
 def test_a_part_of_a_long_record_may_be_shorter_than_a_period(rng):
@@ -168,6 +202,54 @@ def test_one_dead_channel_of_coupled_components_is_named_for_all(reading, rng):
     dead = [(doubt.component, doubt.effect) for doubt in force.doubts if doubt.kind == "stuck channel"]
     assert dead == [("NF", None), ("PM", reading or None)]
     assert force.verdict is not Verdict.FIT
+
+
+@pytest.mark.parametrize(
+    ("heading", "status", "advice"),
+    [
+        ("AF [mV/V]", 2, "the output of a bridge is named rAF, and to have loads of it give --balance balance.json"),
+        ("AF [mV]", 2, "the output of a bridge is named rAF, and to have loads of it give --balance balance.json"),
+        ("rAF [mV/V]", 1, "gauge outputs become loads by a balance matrix: weigh, identify decay and rig, force"),
+        ("Waage Fx [N]", 1, "`aerobalance map FILE -o map.toml` writes one to complete, and --map takes it"),
+    ],
+)
+def test_a_load_that_is_not_there_is_told_what_gives_it(tmp_path, capsys, heading, status, advice):
+    run, known, out = (str(tmp_path / name) for name in ("run.csv", "d.json", "out.csv"))
+    rows = "".join(f"{i / RATE},{np.cos(i):.4f}\n" for i in range(200))
+    (tmp_path / "run.csv").write_text(f"time [s],{heading}\n{rows}")
+    write_dynamics(known, {"AF": dynamics()})
+    identify = ["identify", "decay", run, "--component", "AF", "--mass", "177"]
+    for command in (["force", run, "--dynamics", known, "-o", out], identify, ["weigh", run]):
+        assert main(command) == status
+        assert advice in capsys.readouterr().err
+
+
+def test_a_unit_of_another_kind_and_a_load_beside_others_are_told_as_before(tmp_path):
+    (tmp_path / "run.csv").write_text("time [s],AF [m]\n0,1\n1,2\n")
+    with pytest.raises(ReadError, match=r"a length, but a force is expected; allowed: N, kN, lbf, kgf$"):
+        ab.read(tmp_path / "run.csv")
+    run = Recording.from_columns(np.arange(3) / RATE, {"AF": Channel("AF", np.zeros(3), "N")}, name="run")
+    with pytest.raises(FitError, match=r"^run has no channel PM; it has AF$"):
+        run.channel("PM")
+
+
+def test_a_force_is_printed_with_its_verdict_and_what_is_doubted():
+    case = CASES["2 % clipped above, 0-20 Hz"]
+    force, _ = worked_out(case.record(0), case.dynamics, {})
+    *_, verdict, doubted = repr(force).splitlines()
+    assert verdict == "verdict: fit for use"
+    assert doubted == f"doubted, AF: {KINDS['clipping']}"
+    assert f"<p>{verdict}</p><p>{doubted}</p>" in force._repr_html_()
+    # of more kinds than are named the number of the others is said
+    (part,) = force.values()
+    kinds = ("clipping", "hum", "turning", "zero", "resolution")
+    doubts = tuple(Doubt(kind, "AF", "") for kind in (*kinds, "hum"))
+    shown = repr(replace(force, parts={"AF": replace(part, doubts=doubts)})).splitlines()
+    assert shown[-5:-1] == [
+        "verdict: doubtful",
+        *(f"doubted, AF: {KINDS[kind]}" for kind in ("clipping", "hum", "turning")),
+    ]
+    assert shown[-1] == "doubted: 2 more, in doubts"
 
 
 def test_a_clipped_channel_is_told_once(tmp_path, monkeypatch, capsys):

@@ -1,14 +1,18 @@
 """The balance as a damped spring: closed forms against integration, transforms and each other."""
 
+import pickle
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
+from aerobalance.dynamics.independent import IndependentDynamics
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import PARAMETERS, Dynamics, extremum_ratio, stiffness_from_damped_frequency
+from aerobalance.recording.wording import with_u
 from helpers.cable_cut import T128
+from helpers.coupled_pair import pair as coupled_pair
 
 RIG = Dynamics("AF", 0.68, 11.43e6, 371.98)
 HEAVY = Dynamics("AF", 2.0, 800.0, 160.0)  # damping ratio 2
@@ -343,3 +347,36 @@ def test_modes_that_show_their_rate_agree_in_time_and_frequency():
     found = np.trapezoid(rate * turning, dx=interval, axis=1)
     # (w h)^2 / 6 of the gradient is 4e-5 at 243 Hz; what rings on after 1 s is exp(-22)
     np.testing.assert_allclose(found, balance.response(frequency), rtol=2e-4)
+
+
+def test_modes_are_printed_with_units_and_uncertainties():
+    first = Dynamics("AF", 177.87, 3.093e7, 828.21, covariance=np.diag([0.0, 3.5e3**2, 0.095**2, 0.0]))
+    # u(f0) = f0 u(k) / 2 k = 0.0038 Hz; u(zeta) from u(b) / 2 sqrt(k M) = 6.4e-7 and zeta u(k) / 2 k = 3.2e-7
+    assert repr(first.modes) == "1 mode\n  66.3680 Hz (u = 0.0038), damping ratio 0.00558302 (u = 7.1e-07)"
+    assert repr(first.modes[0]) == "66.368 Hz, damping ratio 0.00558"
+    assert repr(first.exact.modes) == "1 mode\n  66.368 Hz, damping ratio 0.00558"
+    assert first.modes == tuple(first.modes)
+    pair = IndependentDynamics({"AF": first, "NF": replace(first.exact, component="NF")})
+    rows = [*repr(first.modes).splitlines()[1:], *repr(first.exact.modes).splitlines()[1:]]
+    assert repr(pair.modes).splitlines() == ["2 modes", *rows]
+    further = first.with_modes(Mode(150.0, 0.02, 0.1))
+    covariance = further.covariance.copy()
+    covariance[4, 4], covariance[5, 5] = 0.5**2, 0.001**2
+    told = replace(further, covariance=covariance)
+    assert repr(told.modes).endswith("\n  150.00 Hz (u = 0.5), damping ratio 0.0200 (u = 0.001), share 0.1")
+    assert "further mode 150.00 Hz (u = 0.5), damping ratio 0.0200 (u = 0.001), share 0.1" in repr(told)
+    assert repr(pickle.loads(pickle.dumps(told.modes))) == repr(told.modes)
+
+
+def test_modes_of_coupled_dynamics_are_printed_as_their_covariance_says(rng):
+    coupled = coupled_pair()
+    # the same by drawing the matrices anew
+    values = rng.multivariate_normal(coupled.parameter_values, coupled.total_covariance, size=2000)
+    drawn = [[mode.natural_frequency for mode in coupled.with_parameters(one).modes] for one in values]
+    np.testing.assert_allclose(coupled.modes.uncertainties[:, 0], np.std(drawn, axis=0), rtol=0.1)  # six of 1.6 %
+    first = coupled.modes[0]
+    u = coupled.modes.uncertainties[0]
+    assert repr(coupled).splitlines()[
+        1
+    ] == f"  {with_u(first.natural_frequency, u[0], 'Hz')}, damping ratio " + with_u(first.damping_ratio, u[1])
+    assert repr(coupled.modes).splitlines()[1:] == repr(coupled).splitlines()[1:]

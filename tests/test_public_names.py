@@ -96,6 +96,8 @@ def test_one_component_as_the_documentation_shows_it(rng):
     assert repr(run) == "recording: 4000 samples, 2.49938 s at 1600 Hz; AF [N], pitch [rad]"
     assert repr(spring).splitlines()[:2] == ["dynamics of AF", "  mass 177.87 kg"]
     assert "<table>" in force._repr_html_()
+    for shown in (repr(force), force._repr_html_()):
+        assert f"verdict: {force.verdict}" in shown
     assert len(force.plot().axes) == 1
     (rows,) = ab.budget(force).values()
     assert sum(row.share for row in rows) == pytest.approx(1)

@@ -4,11 +4,18 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from aerobalance.app.cli import main
 from aerobalance.app.demos import six_demo
+from aerobalance.estimation.applied_force import Force
+from aerobalance.estimation.force import estimate_force
+from aerobalance.io import read
+from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.errors import warn_quality
 
 
 @pytest.mark.slow
@@ -18,6 +25,12 @@ def test_six_components_from_millivolts_to_forces(
     monkeypatch.setattr(six_demo, "DURATION", 0.3)  # a third of the run takes a third of the time
     monkeypatch.setattr(six_demo, "INSTANT", 0.18013)
     monkeypatch.setattr(six_demo, "RELEASE", 0.5)
+
+    def doubted(*args: Any, **settings: Any) -> Force:
+        warn_quality("the coupling is neglected")  # a run of a third of the length may show nothing of it
+        return estimate_force(*args, **settings)
+
+    monkeypatch.setattr(six_demo, "estimate_force", doubted)  # only the run that neglects the coupling calls it here
     # one seed: what is random about balances and noise is tested where each part is
     assert main(["demo", "--six", "--out", str(tmp_path), "--seed", "3", "--json"]) == 0
     account = json.loads(capsys.readouterr().out)
@@ -30,9 +43,40 @@ def test_six_components_from_millivolts_to_forces(
         assert len(account["steps"][row["component"]]) == 1, row
     for mode in account["modes"]:
         assert mode["identified_frequency"] == pytest.approx(mode["natural_frequency"], rel=1e-4)
+    # the zero of the calibration is taken, and the run that neglects the coupling says nothing of its own
+    assert account["warnings"] == [], account["warnings"]
+    truth, found = read(tmp_path / "truth.csv"), read(tmp_path / "force.csv")
+    assert list(truth.channels) == list(COMPONENTS)
+    inner = slice(round(0.05 * truth.samples), truth.samples - round(0.05 * truth.samples))  # as the page says
+    calm = np.abs(truth.time[inner] - 0.18013) > 0.001
+    for row in account["components"]:
+        name, percent = row["component"], 100 / row["half_range"]
+        error = percent * (found.channel(name).values - truth.channel(name).values)[inner]
+        u = percent * found.channel(f"u_{name}").values[inner]
+        # the files have the digits that matter
+        assert row["error_percent"] == pytest.approx(np.sqrt(np.mean(error**2)), rel=1e-3), row
+        assert row["calm_error_percent"] == pytest.approx(np.sqrt(np.mean(error[calm] ** 2)), rel=1e-3), row
+        assert row["expanded_percent"] == pytest.approx(2 * np.sqrt(np.mean(u**2)), rel=1e-3), row
     page = (tmp_path / "six.html").read_text(encoding="utf-8")
     assert page.count("<svg") == 2
     assert "http" not in page
+
+
+@pytest.mark.parametrize(
+    ("errors", "verdict"),
+    [((0.018, 0.019), "within U for every component"), ((0.018, 0.021), "beyond U: AF")],
+)
+def test_the_table_says_whether_an_error_is_within_the_expanded_uncertainty(
+    errors: tuple[float, float], verdict: str
+) -> None:
+    rest = {"raw_percent": 5.0, "diagonal_percent": 1.0, "calm_error_percent": 0.01, "cover_percent": 95.0}
+    rows = [
+        {"component": name, "error_percent": error, "uncertainty_percent": 0.01, "expanded_percent": 0.02, **rest}
+        for name, error in zip(("RM", "AF"), errors, strict=True)
+    ]
+    text = six_demo.summary({"modes": [], "components": rows, "page": "six.html", "seed": 4})
+    assert "U (k = 2)" in text
+    assert f"error of the coupled dynamics{': ' if 'within' in verdict else ' '}{verdict}" in text
 
 
 def test_two_demonstrations_at_once_are_refused(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

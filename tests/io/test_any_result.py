@@ -38,7 +38,7 @@ def recording(rng: np.random.Generator) -> ab.Recording:
 @pytest.mark.parametrize("ending", ["csv", "h5"])
 def test_recording(ending, tmp_path, rng):
     given = recording(rng)
-    ab.write(tmp_path / f"run.{ending}", given)
+    assert ab.write(str(tmp_path / f"run.{ending}"), given) == tmp_path / f"run.{ending}"
     found = ab.read(tmp_path / f"run.{ending}")
     assert isinstance(found, ab.Recording)
     for name in ("AF", "pitch"):  # pitch goes through degrees
@@ -47,7 +47,7 @@ def test_recording(ending, tmp_path, rng):
 
 def test_calibration_and_its_matrix(tmp_path, rng):
     _, calibration = calibrated(rng)
-    ab.write(tmp_path / "balance.json", calibration)
+    assert ab.write(tmp_path / "balance.json", calibration) == tmp_path / "balance.json"
     ab.write(tmp_path / "matrix.json", calibration.matrix)
     for name in ("balance.json", "matrix.json"):
         found = ab.read(tmp_path / name)

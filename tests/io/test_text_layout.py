@@ -402,6 +402,22 @@ def test_an_unknown_unit_is_told_as_unknown(tmp_path):
     assert '# unit = "Digits"  # not a unit that is known' in template(path)
 
 
+def test_times_that_agree_with_the_preamble_in_another_unit_only_are_refused(tmp_path):
+    milli = "".join(f"{0.2 * i:.1f};{np.cos(i):.3f}\n" for i in range(60)).replace(".", ",")
+    path = written(tmp_path, "Lauf 3\nAbtastrate: 5000 Hz\n\nZeit [s];AF [N]\n" + milli)
+    refusal = (
+        r"column 1 \('Zeit \[s\]'\): steps by 0.2 s, which is 5 Hz, but line 2 says 5000 Hz: the times are in ms, "
+        r'or one of the two is wrong\. Allowed are .* time = "Zeit \[s\]" and time_unit = "ms"'
+    )
+    with pytest.raises(ReadError, match=refusal):
+        read(path)
+    channel = '[channels.AF]\ncolumn = "AF [N]"\n'
+    with pytest.raises(ReadError, match="5 Hz, but the channel map says 5000 Hz: the times are in ms"):
+        mapped(path, "[file]\nrate = 5000.0\n" + channel)
+    assert mapped(path, '[file]\ntime = "Zeit [s]"\ntime_unit = "ms"\n' + channel).rate == pytest.approx(5000)
+    assert proposed(path)["file"]["time"] == "Zeit [s]"  # the map that the message asks for can be made
+
+
 def test_the_command_takes_a_header_line(tmp_path, capsys):
     path = written(tmp_path, "Kopf;eins\nZeit [s];AF [N]\n0,5;1\n1,0;2\n1,5;3\n")
     assert main(["map", str(path), "--header-line", "1"]) == 0

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, Final
 
-from aerobalance.recording.errors import GAUGES_BECOME_LOADS
+from aerobalance.recording.errors import GAUGES_BECOME_LOADS, WITH_A_MATRIX
 
 OPTIONS: Final[Mapping[str, str]] = {
     "Schedule.geometry": "--distances",
@@ -38,6 +38,7 @@ OPTIONS: Final[Mapping[str, str]] = {
 PHRASES: Final[Mapping[str, str]] = {
     GAUGES_BECOME_LOADS: "gauge outputs become loads by a balance matrix: weigh, identify decay and rig, force and "
     "compare take --balance, and for other commands aerobalance loads --balance writes a recording of the loads",
+    WITH_A_MATRIX: "give --balance balance.json",
     "a weighing of all loads as `tare`": "the mass.json of a weighing of all loads (weigh without --component) with "
     "--mass",
     "a weighing as `tare`": "--mass",

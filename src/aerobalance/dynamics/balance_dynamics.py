@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.dynamics.decoupling import DecoupledChannel
-from aerobalance.dynamics.modal import ModalModel, Mode
+from aerobalance.dynamics.modal import ModalModel, Modes
 from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.recording.channel import Array
 
@@ -51,7 +51,7 @@ class BalanceDynamics(ABC):
 
     @property
     @abstractmethod
-    def modes(self) -> tuple[Mode, ...]:
+    def modes(self) -> Modes:
         """All modes of free motion."""
 
     @property

@@ -23,7 +23,7 @@ from aerobalance.dynamics.balance_dynamics import BalanceDynamics, ForceSlopes
 from aerobalance.dynamics.condensation import Condensed
 from aerobalance.dynamics.decoupling import DecoupledChannel, parameter_rows
 from aerobalance.dynamics.independent import dynamics_of
-from aerobalance.dynamics.modal import EquivalentModel, Mode
+from aerobalance.dynamics.modal import EquivalentModel, Mode, Modes
 from aerobalance.dynamics.rigid_body import RigidMass, mass_slopes
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.channel import Array
@@ -109,9 +109,8 @@ class CoupledDynamics(BalanceDynamics):
             raise ValueError("inertia and damping make a free oscillation that grows or never ends")
 
     def __repr__(self) -> str:
-        modes = [f"{one.natural_frequency:.6g} Hz, damping ratio {one.damping_ratio:.3g}" for one in self.modes]
         mass = "mass not known" if self.mass is None else f"mass {self.mass.mass:.6g} kg"
-        return "\n  ".join([f"coupled dynamics of {', '.join(self.components)}; {mass}", *modes])
+        return f"coupled dynamics of {', '.join(self.components)}; {mass}; {self.modes!r}"
 
     @classmethod
     def of_components(cls, parts: Sequence[Dynamics]) -> CoupledDynamics:
@@ -232,10 +231,15 @@ class CoupledDynamics(BalanceDynamics):
         return self.condensed.still
 
     @property
-    def modes(self) -> tuple[Mode, ...]:
+    def modes(self) -> Modes:
         """Frequency and damping ratio of every oscillation, the slowest first; the shares are left at 1."""
         up = [pole for pole in self.poles if pole.imag > 0]
-        return tuple(Mode(float(np.abs(pole)) / (2 * np.pi), float(-pole.real / np.abs(pole))) for pole in up)
+        modes = (Mode(float(np.abs(pole)) / (2 * np.pi), float(-pole.real / np.abs(pole))) for pole in up)
+        return Modes(modes, self._mode_uncertainties)
+
+    def _mode_uncertainties(self) -> Array:
+        """Standard uncertainties of the frequencies [Hz] and damping ratios [1] of `modes`, shape (m, 2)."""
+        return np.asarray(np.sqrt(np.maximum(np.diag(self.mode_covariance), 0.0)).reshape(2, -1).T)
 
     @property
     def mode_slopes(self) -> Array:

@@ -12,7 +12,7 @@ from scipy.linalg import block_diag
 
 from aerobalance.dynamics.balance_dynamics import BalanceDynamics, ForceSlopes
 from aerobalance.dynamics.decoupling import DecoupledChannel
-from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.modal import Modes
 from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.channel import Array
@@ -46,9 +46,12 @@ class IndependentDynamics(Mapping[str, Dynamics], BalanceDynamics):
         return tuple(self.parts)
 
     @property
-    def modes(self) -> tuple[Mode, ...]:
+    def modes(self) -> Modes:
         """Modes of all components, those of one after the other, its first mode first."""
-        return tuple(mode for part in self.parts.values() for mode in part.modes)
+        parts = [part.modes for part in self.parts.values()]
+        return Modes(
+            (mode for part in parts for mode in part), lambda: np.vstack([part.uncertainties for part in parts])
+        )
 
     @property
     def leading_frequencies(self) -> tuple[float, ...]:

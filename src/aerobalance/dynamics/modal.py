@@ -8,6 +8,7 @@ a decoupled channel, `EquivalentModel`, are two sets of parameters of it. The es
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import reduce
 from typing import Final, Self
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aerobalance.dynamics._kernels import first_order
 from aerobalance.recording.channel import Array
+from aerobalance.recording.wording import with_u
 
 FEW: Final = 512
 """Times for which exponentials are taken one by one."""
@@ -47,6 +49,9 @@ class Mode:
     share: float = 1.0
     rate_share: float = 0.0
 
+    def __repr__(self) -> str:
+        return self.told()
+
     def __post_init__(self) -> None:
         if not 0 < self.natural_frequency < np.inf:
             raise ValueError(f"natural_frequency must be positive and finite, not {self.natural_frequency}")
@@ -61,6 +66,13 @@ class Mode:
         """The mode of F = X + D X' + A X'' with D [s] and A [s^2]."""
         w = inertia**-0.5
         return cls(w / (2 * np.pi), damping * w / 2)
+
+    def told(self, u_natural_frequency: float = 0.0, u_damping_ratio: float = 0.0) -> str:
+        """The mode in a line, with the standard uncertainties of frequency [Hz] and damping ratio [1] where known."""
+        frequency = with_u(self.natural_frequency, u_natural_frequency, "Hz")
+        damping = with_u(self.damping_ratio, u_damping_ratio) if u_damping_ratio > 0 else f"{self.damping_ratio:.3g}"
+        share = "" if self.share == 1 else f", share {self.share:.3g}"
+        return f"{frequency}, damping ratio {damping}{share}"
 
     @property
     def angular_frequency(self) -> float:
@@ -136,6 +148,36 @@ class Mode:
             rate += pole * part
         size = self.angular_frequency**2 / (p - q)
         return np.asarray(net[0] + np.real(response * size)), np.asarray(np.real(rate * size))
+
+
+class Modes(tuple[Mode, ...]):
+    """Modes, printed a line each with their standard uncertainties.
+
+    Parameters
+    ----------
+    modes
+        The m modes.
+    uncertainties
+        Gives the standard uncertainties of the natural frequencies [Hz] and of the damping ratios [1], shape (m, 2);
+        None where they are not known.
+    """
+
+    _uncertainties: Callable[[], Array] | None
+
+    def __new__(cls, modes: Iterable[Mode], uncertainties: Callable[[], Array] | None = None) -> Self:
+        """Keep what gives the uncertainties: modes are taken far more often than they are printed."""
+        made = super().__new__(cls, modes)
+        made._uncertainties = uncertainties
+        return made
+
+    @property
+    def uncertainties(self) -> Array:
+        """Standard uncertainties of the natural frequencies [Hz] and of the damping ratios [1], shape (m, 2)."""
+        return np.zeros((len(self), 2)) if self._uncertainties is None else self._uncertainties()
+
+    def __repr__(self) -> str:
+        rows = (mode.told(float(row[0]), float(row[1])) for mode, row in zip(self, self.uncertainties, strict=True))
+        return "\n  ".join([f"{len(self)} mode{'s' if len(self) != 1 else ''}", *rows])
 
 
 def exponentials(pole: complex, time: ArrayLike) -> NDArray[np.complex128]:
@@ -217,13 +259,18 @@ class ModalModel(ABC):
         return self.modes[0].quadratic
 
     @property
-    def modes(self) -> tuple[Mode, ...]:
+    def modes(self) -> Modes:
         """All modes, the first one first."""
         share = 1.0 - sum(mode.share for mode in self.further_modes)
         # a force changes the load's rate, not the load, at once: the rates that the modes show at first cancel
         at_once = sum(mode.rate_share * mode.natural_frequency**2 for mode in self.further_modes)
         rate_share = -at_once / self.natural_frequency**2
-        return (Mode(self.natural_frequency, self.damping_ratio, share, rate_share), *self.further_modes)
+        first = Mode(self.natural_frequency, self.damping_ratio, share, rate_share)
+        return Modes((first, *self.further_modes), self._mode_uncertainties)
+
+    def _mode_uncertainties(self) -> Array:
+        """Standard uncertainties of the frequencies [Hz] and damping ratios [1] of `modes`, shape (m, 2)."""
+        return np.zeros((1 + len(self.further_modes), 2))
 
     def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
         """Balance load over force applied, AF/F, at frequencies [Hz]; the transform of Eq. (8) with x1 at rest.

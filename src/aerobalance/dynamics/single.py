@@ -92,9 +92,8 @@ class Dynamics(ModalModel):
         units = dict(zip(told, ("kg", "N/m", "N*s/m", "s", "Hz", ""), strict=True))
         shown = [name for name in told if name != "delay" or self.delay or told[name]]
         rows = [f"{name} {with_u(getattr(self, name), told[name], units[name])}".replace("_", " ") for name in shown]
-        for one in self.further_modes:
-            frequency = f"{one.natural_frequency:.6g} Hz"
-            rows.append(f"further mode {frequency}, damping ratio {one.damping_ratio:.3g}, share {one.share:.3g}")
+        further = zip(self.further_modes, self.modes.uncertainties[1:], strict=True)
+        rows += [f"further mode {one.told(float(u[0]), float(u[1]))}" for one, u in further]
         return "\n  ".join([f"dynamics of {self.component}", *rows])
 
     @property
@@ -217,6 +216,11 @@ class Dynamics(ModalModel):
         else:
             raise ValueError(f"parameter must be one of {', '.join(names)}, natural_frequency, damping_ratio, share")
         return gradient
+
+    def _mode_uncertainties(self) -> Array:
+        numbers = ["", *(f"_{number}" for number in range(2, 2 + len(self.further_modes)))]
+        names = ("natural_frequency", "damping_ratio")
+        return np.array([[self.uncertainty(f"{name}{number}") for name in names] for number in numbers])
 
     def force_slopes(self, frequency: Array) -> NDArray[np.complex128]:
         """Change of the force of Eq. (17) of [Gorbushin2020]_ with each of `parameters`, over the force, (m, p).

@@ -74,10 +74,10 @@ class Force(Mapping[str, ComponentForce]):
         return plot(self, self.recording)
 
     def __repr__(self) -> str:
-        return summary(self, self.recording)
+        return summary(self, self.recording, self.verdict)
 
     def _repr_html_(self) -> str:
-        return html(self, self.recording)
+        return html(self, self.recording, self.verdict)
 
     @property
     def only(self) -> ComponentForce:

@@ -17,7 +17,7 @@ from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.correlated_noise import SharedNoise
 from aerobalance.estimation.decoupled_record import DecoupledRecord, balance_load
-from aerobalance.estimation.record import BalanceRecord, check_length, component_channels
+from aerobalance.estimation.record import BalanceRecord, check_clock, component_channels
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.motion.platform import PlatformMotion
 from aerobalance.recording.channel import Array, Channel
@@ -92,12 +92,13 @@ class CoupledRecord(BalanceRecord):
         ------
         FitError
             A component that the others ring with is not in the recording, or has too few readings; or the record
-            is shorter than a period; or the ground end moves and the dynamics hold no mass.
+            is shorter than a period, or its times are in another unit than they say; or the ground end moves and
+            the dynamics hold no mass.
         """
         recording = corrected(recording)
         channels = _channels(recording, dynamics)
-        slowest = min(mode.natural_frequency for mode in dynamics.modes)
-        check_length(recording, "the slowest mode", frequency=slowest)
+        frequencies = [mode.natural_frequency for mode in dynamics.modes]
+        check_clock(recording, "the slowest mode", channels=dynamics.components, frequencies=frequencies)
         platform = PlatformMotion.of(recording, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
         loads = np.column_stack([np.where(channel.at_limit, np.nan, channel.values) for channel in channels])
         noise = noise_covariance(channels, interpolate_gaps(loads)) if noise is None else noise

@@ -10,12 +10,16 @@ import numpy as np
 
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.recording.components import si_unit
+from aerobalance.recording.doubts import KINDS, Doubt, Verdict
 from aerobalance.recording.recording import Recording
 
 if TYPE_CHECKING:
     import pandas as pd
     import xarray as xr
     from matplotlib.figure import Figure
+
+DOUBTS_SHOWN: Final = 3
+"""Kinds of doubt that are named where a force is printed."""
 
 COVERAGE_FACTOR: Final = 1.96
 """Standard uncertainties on either side that hold 95 % of the errors."""
@@ -90,17 +94,40 @@ def _rows(parts: Mapping[str, ComponentForce]) -> list[tuple[str, ...]]:
 _HEADS: Final = ("component", "unit", "mean", "rms about mean", "u of a sample", "resolved to [Hz]")
 
 
-def summary(parts: Mapping[str, ComponentForce], recording: Recording) -> str:
-    """Forces in some lines of text."""
+def _judgement(parts: Mapping[str, ComponentForce], verdict: Verdict) -> list[str]:
+    """The verdict, and what is doubted first, by kind."""
+    kinds: dict[str, list[Doubt]] = {}
+    for part in parts.values():
+        for doubt in part.doubts:
+            kinds.setdefault(doubt.kind, []).append(doubt)
+    first = list(kinds.values())[:DOUBTS_SHOWN]
+    lines = [f"verdict: {verdict}"]
+    lines += [
+        f"doubted, {', '.join(dict.fromkeys(one.component for one in group))}: {KINDS[group[0].kind]}"
+        for group in first
+    ]
+    more = len(kinds) - len(first)
+    return lines + ([f"doubted: {more} more, in doubts"] if more else [])
+
+
+def summary(parts: Mapping[str, ComponentForce], recording: Recording, verdict: Verdict) -> str:
+    """Forces in some lines of text, with their verdict and what is doubted first."""
     rows = [_HEADS, *_rows(parts)]
     widths = [max(len(row[column]) for row in rows) for column in range(len(_HEADS))]
     lines = ["  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows]
-    return "\n".join([f"force applied, {recording.name}: {recording.samples} samples, {recording.rate:g} Hz", *lines])
+    return "\n".join(
+        [
+            f"force applied, {recording.name}: {recording.samples} samples, {recording.rate:g} Hz",
+            *lines,
+            *_judgement(parts, verdict),
+        ]
+    )
 
 
-def html(parts: Mapping[str, ComponentForce], recording: Recording) -> str:
-    """Forces as a table for notebooks."""
+def html(parts: Mapping[str, ComponentForce], recording: Recording, verdict: Verdict) -> str:
+    """Forces as a table for notebooks, with their verdict and what is doubted first."""
     head = "".join(f"<th>{escape(cell)}</th>" for cell in _HEADS)
     body = "".join("<tr>" + "".join(f"<td>{escape(cell)}</td>" for cell in row) + "</tr>" for row in _rows(parts))
     caption = escape(f"force applied, {recording.name}: {recording.samples} samples, {recording.rate:g} Hz")
-    return f"<table><caption>{caption}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    table = f"<table><caption>{caption}</caption><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
+    return table + "".join(f"<p>{escape(line)}</p>" for line in _judgement(parts, verdict))

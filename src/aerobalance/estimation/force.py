@@ -39,9 +39,9 @@ from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.estimation.working_clock import DecimatedRecord, MadeReady, RecordAsItIs, slower_clock
 from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, is_gauge
+from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, loads_hint
 from aerobalance.recording.doubts import Doubt
-from aerobalance.recording.errors import GAUGES_BECOME_LOADS, FitError, kept_warnings, warn_quality
+from aerobalance.recording.errors import FitError, kept_warnings, warn_quality
 from aerobalance.recording.part_warnings import PartWarnings
 from aerobalance.recording.parts import LongRecord, Part
 from aerobalance.recording.progress import PROGRESS
@@ -326,10 +326,9 @@ def force_record(
         noise = _noise_of(run, model)
         run = run.recording
     if not any(name in run for name in model.components):
-        gauges = any(is_gauge(name) for name in run.channels)
         raise FitError(
             f"{run.name} has none of the components of the dynamics, {', '.join(model.components)}; it has "
-            f"{', '.join(run.channels) or 'no channels'}" + (f"; {GAUGES_BECOME_LOADS}" if gauges else "")
+            f"{', '.join(run.channels) or 'no channels'}{loads_hint(run.channels)}"
         )
     settings = {"gravity": gravity, "gravity_uncertainty": gravity_uncertainty}
     if isinstance(model, CoupledDynamics):

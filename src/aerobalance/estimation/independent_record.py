@@ -20,7 +20,7 @@ from aerobalance.estimation.record import (
     BalanceRecord,
     ComponentRecord,
     Through,
-    check_length,
+    check_clock,
     component_channels,
 )
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
@@ -229,13 +229,14 @@ class IndependentRecord(BalanceRecord):
         Raises
         ------
         FitError
-            A component has too few readings, or the record is shorter than its period.
+            A component has too few readings, or the record is shorter than its period, or its times are in
+            another unit than they say.
         """
         recording = corrected(recording)
         known = IndependentDynamics({name: part for name, part in dynamics.items() if name in recording})
         component_channels(recording, known)
         for name, part in known.items():
-            check_length(recording, name, frequency=part.natural_frequency)
+            check_clock(recording, name, channels=(name,), frequencies=(part.natural_frequency,))
         settings = {"gravity": gravity, "gravity_uncertainty": gravity_uncertainty}
         return cls(recording, known, {name: GroundMotion.of(recording, name, **settings) for name in known})
 

@@ -33,8 +33,10 @@ Result = Recording | Loads | Force | Artefact
 """What has a file."""
 
 
-def write(path: Path | str, result: Result, *, inputs: Sequence[Path | str] = ()) -> None:
-    """Write a result as the file that the command which finds it writes; a file that exists is replaced.
+def write(path: Path | str, result: Result, *, inputs: Sequence[Path | str] = ()) -> Path:
+    """Write a result as the file that the command which finds it writes, and return its path.
+
+    A file that exists is replaced.
 
     Parameters
     ----------
@@ -58,6 +60,7 @@ def write(path: Path | str, result: Result, *, inputs: Sequence[Path | str] = ()
         _write_table(file, result)
     else:
         _write_artefact(file, result, [Path(one) for one in inputs])
+    return file
 
 
 def _write_table(file: Path, result: Loads | Force) -> None:

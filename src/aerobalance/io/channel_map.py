@@ -158,6 +158,7 @@ class ChannelMap:
             encoding=self.file.encoding,
             clocked=self.file.time is not None or self.file.rate is not None,
             rate=self.file.rate,
+            time_unit=self.file.time_unit,
         )
 
     @property

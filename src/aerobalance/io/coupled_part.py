@@ -128,7 +128,7 @@ def modes_payload(dynamics: CoupledDynamics) -> list[dict[str, object]]:
 
     The keys are those of a mode of one component.
     """
-    u = np.sqrt(np.maximum(np.diag(dynamics.mode_covariance), 0.0)).reshape(2, -1).T
+    modes = dynamics.modes
     return [
         {
             "natural_frequency": mode.natural_frequency,
@@ -137,7 +137,7 @@ def modes_payload(dynamics: CoupledDynamics) -> list[dict[str, object]]:
             "u_damping_ratio": u_ratio,
             "units": {"natural_frequency": "Hz", "damping_ratio": "1"},
         }
-        for mode, (u_frequency, u_ratio) in zip(dynamics.modes, u.tolist(), strict=True)
+        for mode, (u_frequency, u_ratio) in zip(modes, modes.uncertainties.tolist(), strict=True)
     ]
 
 

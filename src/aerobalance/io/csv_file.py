@@ -19,7 +19,7 @@ from aerobalance.io.safe_write import replacing
 from aerobalance.io.series import Matrix, Series
 from aerobalance.io.series_record import SeriesRecord, seconds
 from aerobalance.io.table import Table, table_from
-from aerobalance.io.text_clock import ALIKE
+from aerobalance.io.text_clock import ALIKE, UNITS_OF_TIME, FoundClock
 from aerobalance.io.text_layout import Layout, TextLayout
 from aerobalance.io.text_parts import long_text
 from aerobalance.io.text_table import (
@@ -142,8 +142,16 @@ def _with_clock(raw: RawColumns, found: TextLayout, given: Layout, *, named: boo
 
 
 def _compare_clocks(path: Path, found: TextLayout, given: Layout) -> None:
-    """Warn where a rate that somebody says, a rate that the file states and its column of times disagree."""
+    """Warn where a rate that somebody says, a rate that the file states and its column of times disagree.
+
+    Raises
+    ------
+    ReadError
+        The column would agree in another unit of time than the one that is said of it.
+    """
     clock, stated = found.clock, found.stated
+    if clock is not None and given.time_unit and not clock.stamps:
+        clock = replace(clock, unit=given.time_unit)
     said = given.rate or (stated.rate if stated else None)
     if said is None:
         return
@@ -152,6 +160,7 @@ def _compare_clocks(path: Path, found: TextLayout, given: Layout) -> None:
     if clock is not None and not clock.agrees(said):
         label = found.labels[clock.column]
         rate = clock.rate
+        _check_unit_of_times(path, clock, label, source=source, said=said)
         other = f"column {clock.column + 1} ({label!r}) steps by {clock.interval:.6g} {clock.unit}".rstrip()
         other += "" if rate is None else f", which is {rate:.6g} Hz"
         advice = f"; put time = {quoted(label)} under [file] in place of rate" if given.rate else ""
@@ -160,6 +169,22 @@ def _compare_clocks(path: Path, found: TextLayout, given: Layout) -> None:
         other, advice = f"line {stated.line} says {stated.rate:.6g} Hz", "; the channel map is taken"
     if other:
         warn_quality(f"{path.name}: {source} {said:.6g} Hz, but {other}{advice}")
+
+
+def _check_unit_of_times(path: Path, clock: FoundClock, label: str, *, source: str, said: float) -> None:
+    """Refuse a column of times that disagrees with a rate by just what another unit of time makes."""
+    fitting = [unit for unit in UNITS_OF_TIME if clock.unit and replace(clock, unit=unit).agrees(said)]
+    if not fitting or clock.stamps or clock.rival is not None or clock.rate is None:
+        return
+    unit = fitting[0]
+    raise ReadError(
+        path,
+        f"column {clock.column + 1} ({label!r})",
+        f"steps by {clock.interval:.6g} {clock.unit}, which is {clock.rate:.6g} Hz, but {source} {said:.6g} Hz: the "
+        f"times are in {unit}, or one of the two is wrong. Allowed are a unit and a rate that agree: write the unit "
+        f"[{unit}] in the header, or put time = {quoted(label)} and time_unit = {quoted(unit)} (without rate) under "
+        "[file] of a channel map, which `aerobalance map FILE` makes; or correct the rate",
+    )
 
 
 def _clocked(raw: RawColumns, found: TextLayout, *, named: bool) -> RawColumns:

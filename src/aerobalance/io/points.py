@@ -12,8 +12,8 @@ from aerobalance.io import read, read_table, states_times
 from aerobalance.io.channel_map import ChannelMap
 from aerobalance.io.table import Table
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import COMPONENTS, is_gauge
-from aerobalance.recording.errors import GAUGES_BECOME_LOADS, FitError, ReadError
+from aerobalance.recording.components import COMPONENTS, loads_hint
+from aerobalance.recording.errors import FitError, ReadError
 
 Names = tuple[str, ...]
 
@@ -101,10 +101,8 @@ def _loads_of(path: Path, there: Iterable[str]) -> Names:
     given = list(there)
     names = tuple(component for component in COMPONENTS if component in given)
     if not names:
-        gauges = any(is_gauge(name) for name in given)
         raise FitError(
-            f"{path.name}: has none of the loads {', '.join(COMPONENTS)}; it has {', '.join(given)}"
-            + (f"; {GAUGES_BECOME_LOADS}" if gauges else "")
+            f"{path.name}: has none of the loads {', '.join(COMPONENTS)}; it has {', '.join(given)}{loads_hint(given)}"
         )
     return names
 

@@ -19,6 +19,9 @@ from aerobalance.recording.units import conversion
 ALIKE: Final = 0.02
 """Relative difference up to which two statements of one sampling rate agree."""
 
+UNITS_OF_TIME: Final = ("s", "ms", "us", "min")
+"""Units that a column of times may be in where the file does not say it."""
+
 _TIMES: Final = re.compile(
     r"(?:(?:abs|rel|absolute?s?|relative?|elapsed|mess|mes)[ ._]*)?"
     r"(?:time|zeit|temps|tiempo|tempo|tijd|tid|aika|czas|t|x[ _-]?values?|uhrzeit|messzeit|zeitkanal|zeitachse"
@@ -107,7 +110,7 @@ class FoundClock:
 
     def agrees(self, rate: float) -> bool:
         """Return whether the steps are those of a sampling rate [Hz]; in any unit of time where none is stated."""
-        units = (self.unit,) if self.unit else ("s", "ms", "us", "min")
+        units = (self.unit,) if self.unit else UNITS_OF_TIME
         rates = [replace(self, unit=unit).rate for unit in units]
         near = ALIKE + self.spread
         return not any(rates) or any(own is not None and abs(own / rate - 1) <= near for own in rates)

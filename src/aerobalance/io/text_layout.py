@@ -49,6 +49,8 @@ class Layout:
         Whether somebody says what the clock is; it is recognised too where not.
     rate
         Sampling rate that somebody says [Hz]; None where nobody does.
+    time_unit
+        Unit of the column of times that somebody says; None where nobody does.
     """
 
     separator: str | None = None
@@ -58,6 +60,7 @@ class Layout:
     encoding: str | None = None
     clocked: bool = False
     rate: float | None = None
+    time_unit: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -7,11 +7,13 @@ acceleration along the balance are positive aft; NF is positive up, SF to the ri
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from aerobalance.recording.errors import GAUGES_BECOME_LOADS, NAMES_BY_MAP
 
 COMPONENTS: Final = ("NF", "PM", "SF", "YM", "RM", "AF")
 """Normal force, pitching moment, side force, yawing moment, rolling moment, axial force."""
@@ -77,6 +79,14 @@ _GAUGE: Final = re.compile(r"r[A-Z]\w*")
 def is_gauge(name: str) -> bool:
     """Return whether a channel name is that of a gauge output: ``r`` and the component's name at the balance (rN1)."""
     return _GAUGE.fullmatch(name) is not None
+
+
+def loads_hint(names: Iterable[str]) -> str:
+    """Return what gives the loads that are not among the names of channels, to end a message with; may be empty."""
+    there = list(names)
+    if any(is_gauge(name) for name in there):
+        return f"; {GAUGES_BECOME_LOADS}"
+    return "" if any(name in COMPONENTS for name in there) else f"; {NAMES_BY_MAP}"
 
 
 def si_unit(component: str) -> str:

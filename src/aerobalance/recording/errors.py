@@ -19,6 +19,16 @@ GAUGES_BECOME_LOADS: Final = "gauge outputs become loads by a balance matrix: re
 """What to do with gauge outputs where loads are needed."""
 
 
+NAMES_BY_MAP: Final = (
+    "a channel map gives the columns of another program these names: `aerobalance map FILE -o map.toml` writes one to "
+    "complete, and `channel_map` takes it"
+)
+"""What to do where no channel has a name that is known."""
+
+WITH_A_MATRIX: Final = "give the balance matrix as `balance`"
+"""What gauge outputs need."""
+
+
 class FitError(Exception):
     """The data cannot carry the result; the message says which data and what would help."""
 

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from aerobalance.recording.channel import QUANTITIES, Array, Channel, unit_inside
-from aerobalance.recording.components import COMPONENTS, is_gauge
-from aerobalance.recording.errors import GAUGES_BECOME_LOADS, FitError, warn_quality
+from aerobalance.recording.components import COMPONENTS, is_gauge, loads_hint
+from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.gravity import GravityOnZero
 from aerobalance.recording.jitter import following, on_steady_clock
 from aerobalance.recording.parts import Extent
@@ -357,8 +357,7 @@ class Recording:
             The recording has no such channel; the message lists those it has.
         """
         if name not in self.channels:
-            gauges = name in COMPONENTS and any(is_gauge(other) for other in self.channels)
-            hint = f"; {GAUGES_BECOME_LOADS}" if gauges else ""
+            hint = loads_hint(self.channels) if name in COMPONENTS else ""
             raise FitError(f"{self.name} has no channel {name}; it has {', '.join(self.channels) or 'none'}{hint}")
         return self.channels[name]
 

@@ -19,7 +19,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from aerobalance.recording.channel import QUANTITIES, Array, unit_inside
-from aerobalance.recording.components import is_gauge
+from aerobalance.recording.components import COMPONENTS, is_gauge
+from aerobalance.recording.errors import WITH_A_MATRIX
 
 if TYPE_CHECKING:
     import pint
@@ -266,8 +267,20 @@ def conversion_for(name: str, text: str) -> Conversion:
             return conversion(text, expected="mV/V")
         except ValueError as error:
             raise ValueError(f"{error}; or V, mV, uV beside a channel excitation [V]") from None
-    found = conversion(text, expected=expected_unit(name))
+    try:
+        found = conversion(text, expected=expected_unit(name))
+    except ValueError as error:
+        if bare not in COMPONENTS or not _electric(text):
+            raise
+        raise ValueError(
+            f"{error}; the output of a bridge is named r{bare}, and to have loads of it {WITH_A_MATRIX}"
+        ) from None
     return replace(found, offset=0.0) if bare != name else found
+
+
+def _electric(text: str) -> bool:
+    """Return whether a text is the unit of a gauge output or of a voltage."""
+    return readable(text) and _kind(_spelled(text.strip())) in {"mV/V", "V"}
 
 
 def readable(text: str) -> bool:

@@ -16,7 +16,7 @@ from aerobalance.identification.coupled.modes import ModeTable
 from aerobalance.identification.force_error import error_of, force_weights, highest_of
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
-from aerobalance.recording.wording import percent_text, with_u
+from aerobalance.recording.wording import percent_text
 
 FORCE_ERROR_SAID: Final = 10.0
 """Force error, over half of range, beyond which only that it is larger is said."""
@@ -82,10 +82,7 @@ class CoupledResult:
 
     def __repr__(self) -> str:
         told = zip(self.modes, self.u_natural_frequency, self.u_damping_ratio, strict=True)
-        rows = [
-            f"{with_u(one.natural_frequency, u_frequency, 'Hz')}, damping ratio {with_u(one.damping_ratio, u_ratio)}"
-            for one, u_frequency, u_ratio in told
-        ]
+        rows = [one.told(u_frequency, u_ratio) for one, u_frequency, u_ratio in told]
         names = self.dynamics.components
         left = ", ".join(
             f"{name} {error:.2g} {si_unit(name)}" for name, error in zip(names, self.force_error, strict=True)
