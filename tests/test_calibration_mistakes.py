@@ -137,6 +137,7 @@ def test_a_small_typing_error_blames_no_sound_point(rng) -> None:
         loads[point, index] *= 1.02
         wrong = calibrate(replace(schedule, loads=loads))
         found = assess(wrong).outliers
+        assert f"outlier: {schedule.components[index]} at point {schedule.label(point)!r}" in repr(wrong)
         assert not found or found[0].label == schedule.label(point)
         others += len({item.label for item in found} - {schedule.label(point)})
         named += bool(found)

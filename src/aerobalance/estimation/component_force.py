@@ -277,7 +277,7 @@ class Fitted:
         return record.finish(
             fit.force,
             errors,
-            method=f"smoother: {learned.spectrum}, by Whittle's likelihood{_words_on_noise(record, learned)}",
+            method=f"smoother, force's spectrum learned: {learned.spectrum}{_words_on_noise(record, learned)}",
             noise=noise,
             bandwidth=_resolved_bandwidth(reading, learned),
             noise_gain=float(np.sqrt(np.mean(fit.variance))) / noise,

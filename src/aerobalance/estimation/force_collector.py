@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.error_sources import Divided, Noise, Systematic
 from aerobalance.estimation.force_parts import ForcePart
 from aerobalance.estimation.result import ComponentForce, ForceSummary
@@ -51,6 +52,8 @@ class SummaryOfParts:
     _assumptions: dict[str, None] = field(default_factory=dict)
     _doubts: list[tuple[Doubt, str]] = field(default_factory=list)
     _assumed: dict[str, Assumption] = field(default_factory=dict)
+    # sums of load and weight, and number of readings of each
+    _means: Array = field(default_factory=lambda: np.zeros((2, 2)))
 
     def __post_init__(self) -> None:
         self._spectrum = SpectrumSums(segment_length(self.samples), self.every)
@@ -67,6 +70,7 @@ class SummaryOfParts:
                 self._sums.add(values[there], u[there], (), first=given.first + int(there[0]))
             return
         found, own = given.force[self.component], given.own
+        self._add_means(given.force, own)
         kept = slice(int(there[0]), int(there[-1]) + 1)
         contributions = [one.within(kept) for one in given.contributions[self.component]]
         if self._sums is None:
@@ -93,6 +97,19 @@ class SummaryOfParts:
             elif line.amplitude > same[0].amplitude:
                 self._hum[self._hum.index(same[0])] = line
 
+    def _add_means(self, force: Force, own: slice) -> None:
+        """Count the load of a part, and the weight that is taken off it."""
+        recording = force.recording
+        rows = [recording.channel(self.component).values[own]]
+        if "pitch" in recording:
+            pitch = recording.channel("pitch").values[own]
+            roll = recording.channel("roll").values[own] if "roll" in recording else np.zeros_like(pitch)
+            gravity = force.settings.gravity
+            rows.append(force.dynamics.weight(self.component, pitch=pitch, roll=roll, gravity=gravity))
+        for place, values in enumerate(rows):
+            known = np.isfinite(values)
+            self._means[place] += float(np.sum(values, where=known)), float(np.count_nonzero(known))
+
     @property
     def summary(self) -> ForceSummary:
         """What was found so far.
@@ -110,6 +127,8 @@ class SummaryOfParts:
             method = f"in {self._parts} parts, of which the first is by the {method}"
         if self.every > 1:
             method = f"on a clock {self.every} times as slow as the record's, {method}"
+        with np.errstate(invalid="ignore"):
+            load, weight = self._means[:, 0] / self._means[:, 1]
         return ForceSummary(
             component=self.component,
             method=method,
@@ -123,6 +142,8 @@ class SummaryOfParts:
             spectrum=self._spectrum,
             doubts=of_all_parts(self._doubts, parts=self._parts),
             assumed=tuple(self._assumed.values()),
+            mean_load=float(load),
+            mean_weight=float(weight),
         )
 
 

@@ -31,6 +31,10 @@ class ForceSummary:
         As in `ComponentForce`.
     sums, spectrum
         Sums over its samples.
+    mean_load
+        Mean of the balance load over the readings there are [N]; NaN where none was kept.
+    mean_weight
+        Mean weight of the moving mass along the component, by the angles of the record [N]; NaN where it has none.
     """
 
     component: str
@@ -45,6 +49,8 @@ class ForceSummary:
     spectrum: SpectrumSums
     doubts: tuple[Doubt, ...] = ()
     assumed: tuple[Assumption, ...] = ()
+    mean_load: float = np.nan
+    mean_weight: float = np.nan
 
     @property
     def rms_uncertainty(self) -> float:

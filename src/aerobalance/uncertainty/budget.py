@@ -63,6 +63,8 @@ REMEDIES: Final[Mapping[str, str]] = {
     "balance matrix, zeros and tares": "a better static calibration (calibrate "
     f"{argument('reading_noise')}, where that of its readings is known), and zeros read close to the run",
     "curvature of the balance matrix, ringing": "a static calibration with more points, under loads combined",
+    "force below detection": "a quieter load channel or a longer record: so much could fluctuate unseen in the noise",
+    "dynamics that the record leaves open": "dynamics identified anew, or a record in which the balance rings",
     "ends of the record": "a record that begins and ends at rest",
 }
 """What makes each contribution smaller."""

@@ -16,7 +16,7 @@ from aerobalance.balance.calibration.comparison import compare_calibrations
 from aerobalance.balance.calibration.fit import Calibration
 from aerobalance.balance.calibration.fit import calibrate as fit_matrix
 from aerobalance.balance.calibration.fit_warnings import warn_of_weaknesses
-from aerobalance.balance.calibration.outliers import outlier_text
+from aerobalance.balance.calibration.outliers import MOST_NAMED, outlier_text
 from aerobalance.balance.calibration.quality import Quality, assess
 from aerobalance.balance.load_formats import Geometry
 from aerobalance.balance.matrix import BalanceMatrix, Way
@@ -31,9 +31,6 @@ from aerobalance.io.sheet_cells import is_workbook
 from aerobalance.io.text_table import read_text
 from aerobalance.recording.channel import Array
 from aerobalance.recording.units import conversion
-
-SHOWN_OUTLIERS: Final = 5
-"""Number of outliers that the short answer lists."""
 
 SHOWN_INTERACTIONS: Final = 6
 """Number of changed interactions that the short answer lists."""
@@ -196,7 +193,7 @@ def summary(calibration: Calibration, quality: Quality) -> str:
     if schedule.left_out:
         lines.append(f"left out as asked ({points_text(len(schedule.left_out))}): {', '.join(schedule.left_out)}")
     if quality.outliers:
-        shown = quality.outliers[:SHOWN_OUTLIERS]
+        shown = quality.outliers[:MOST_NAMED]
         lines += [f"outlier: {outlier_text(schedule, item)}" for item in shown]
         if len(quality.outliers) > len(shown):
             lines.append(f"and {len(quality.outliers) - len(shown)} outliers more, which --report and --json name")

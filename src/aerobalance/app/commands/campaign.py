@@ -251,7 +251,9 @@ def write_run_report(path: Path, work: RunWork, found: ReducedRun, said: list[st
         "warnings": [as_options(text) for text in said],
     }
     inputs = [Path(place) for place in run.inputs if not is_address(place)]
-    write_force_report(path, result, summaries, curves, recording=force.recording, inputs=inputs)
+    write_force_report(
+        path, result, summaries, curves, recording=force.recording, dynamics=force.dynamics, inputs=inputs
+    )
 
 
 def parts_of_whole(force: Force) -> ForcePart:

@@ -124,7 +124,9 @@ def force(
     if report is not None:
         from aerobalance.app.reports.force_report import write_force_report  # noqa: PLC0415 - plotting is slow
 
-        write_force_report(report, result, summaries, found.curves, recording=found.origin, inputs=inputs)
+        write_force_report(
+            report, result, summaries, found.curves, recording=found.origin, dynamics=source.known, inputs=inputs
+        )
         result["report"] = report.name
     result["file"] = path.name
     return {**result, "summary": force_text(result), "details": budget_text(result["components"])}
@@ -268,12 +270,19 @@ def hum_of(text: str) -> Hum:
         raise ValueError(f"--hum must be mains, keep or frequencies in Hz such as 50,100, not {text}") from None
 
 
+def finite(value: float) -> float | None:
+    """Return a number, or None where there is none."""
+    return value if np.isfinite(value) else None
+
+
 def force_result(estimate: ForceSummary, origins: Origins) -> Result:
     """Plain data on one component's force; instants are on the recording's own clock."""
     start = origins.recording.start
     unit = si_unit(estimate.component)
     return {
         "unit": unit,
+        "mean_load": finite(estimate.mean_load),
+        "mean_weight": finite(estimate.mean_weight),
         "method": estimate.method,
         **scalar_result(estimate, origins.recording),
         "uncertainty_rms": estimate.rms_uncertainty,

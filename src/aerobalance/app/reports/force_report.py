@@ -10,9 +10,12 @@ import numpy as np
 
 from aerobalance.app.reports.force_curves import ForceCurves
 from aerobalance.app.reports.page import PLACE_HOLDERS, empty_figure, inline, legend, write_page
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
+from aerobalance.dynamics.independent import IndependentDynamics
 from aerobalance.estimation.display import COVERAGE_FACTOR
 from aerobalance.estimation.result import ForceSummary
 from aerobalance.io.artefacts import provenance
+from aerobalance.io.dynamics_file import dynamics_units
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.budget import component_budget, spectrum
@@ -25,6 +28,7 @@ def write_force_report(
     curves: Mapping[str, ForceCurves],
     *,
     recording: Recording,
+    dynamics: BalanceDynamics,
     inputs: Sequence[Path],
 ) -> None:
     """Write what was found of the force as one HTML file that needs nothing else, whole or not at all.
@@ -41,6 +45,8 @@ def write_force_report(
         What their figures show.
     recording
         The recording; its samples are not looked at.
+    dynamics
+        The dynamics that were used.
     inputs
         Files named with their SHA-256.
 
@@ -62,10 +68,38 @@ def write_force_report(
         "found": {**result, "warnings_beside": _beside(result)},
         "file": recording.name,
         "figures": figures,
+        "used": used(recording, dynamics, summaries, samples=max(one.samples * one.every for one in curves.values())),
         "units": {name: si_unit(name).replace("*", "·") for name in summaries},
         "origin": provenance(inputs),
     }
     write_page(path, "force.html.j2", content)
+
+
+def used(
+    recording: Recording, dynamics: BalanceDynamics, summaries: Mapping[str, ForceSummary], *, samples: int
+) -> list[tuple[str, str, Sequence[float | None] | str, str]]:
+    """Rows of what was used: of what (record, or a component), its name, value with uncertainty or words, and unit."""
+    rows: list[tuple[str, str, Sequence[float | None] | str, str]] = []
+    if recording.epoch is not None:
+        began = recording.epoch + np.timedelta64(round(1e6 * recording.start), "us")
+        rows.append(("record", "first sample", str(began.astype("datetime64[ms]")).replace("T", " "), ""))
+    rows.append(("record", "duration", (samples / recording.rate, None), "s"))
+    rows.append(("record", "sampling rate", (recording.rate, None), "Hz"))
+    for name in summaries:
+        if isinstance(dynamics, IndependentDynamics):
+            own = dynamics[name]
+            units = dynamics_units(name) | {"damping_ratio": ""}
+            rows += [
+                (name, key.replace("_", " "), (float(getattr(own, key)), own.uncertainty(key)), unit.replace("*", "·"))
+                for key, unit in units.items()
+                if key != "delay" or own.delay
+            ]
+            rows += [(name, f"mode {i}", one.told(), "") for i, one in enumerate(own.further_modes, start=2)]
+    if not isinstance(dynamics, IndependentDynamics):
+        modes = zip(dynamics.modes, dynamics.modes.uncertainties, strict=True)
+        coupled = ", ".join(dynamics.components)
+        rows += [(coupled, f"mode {i}", one.told(*u), "") for i, (one, u) in enumerate(modes, start=1)]
+    return rows
 
 
 def _beside(result: Mapping[str, Any]) -> list[str]:

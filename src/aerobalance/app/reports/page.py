@@ -161,6 +161,12 @@ def with_uncertainty(value: float, u: float | None, scale: float = 1.0) -> str:
     return f"{value:.{places}f} <span class=u>± {u:.{places}f}</span>".replace("-", "−")
 
 
+def sentence(text: str) -> str:
+    """Return words as a sentence begins; a name that they begin with, such as a channel's, stays as it is."""
+    first = text.split(maxsplit=1)[0] if text.strip() else ""
+    return text if "_" in first else text[:1].upper() + text[1:]
+
+
 def write_page(path: Path | str, template: str, content: Mapping[str, Any]) -> None:
     """Fill a page with figures and tables and write it, whole or not at all.
 
@@ -186,6 +192,7 @@ def write_page(path: Path | str, template: str, content: Mapping[str, Any]) -> N
         lstrip_blocks=True,
     )  # fmt: skip
     environment.filters["number"] = lambda value, digits=5: Markup(number(value, digits))
+    environment.filters["sentence"] = sentence
     environment.filters["digits"] = significant
     environment.filters["fixed"] = fixed
     environment.filters["with_u"] = lambda pair, scale=1.0: Markup(with_uncertainty(pair[0], pair[1], scale))

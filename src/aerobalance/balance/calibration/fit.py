@@ -16,7 +16,13 @@ from numpy.typing import NDArray
 
 from aerobalance.balance.calibration.checks import check_residuals, check_schedule
 from aerobalance.balance.calibration.normalised_points import NormalisedPoints
-from aerobalance.balance.calibration.outliers import find_outliers, outliers_text, outlying_points
+from aerobalance.balance.calibration.outliers import (
+    MOST_NAMED,
+    find_outliers,
+    outlier_text,
+    outliers_text,
+    outlying_points,
+)
 from aerobalance.balance.calibration.regression import Choice, Regression, without_intercepts
 from aerobalance.balance.calibration.selection import Unidentified, identifiable, select
 from aerobalance.balance.calibration.shrinkage import Design, shrink
@@ -78,6 +84,12 @@ class Calibration:
                 strict=True,
             )
         ]
+        outliers = find_outliers(
+            self.schedule, self.matrix.terms, self.regressions, self.matrix.output_scale, self.way
+        )
+        rows += [f"outlier: {outlier_text(self.schedule, item)}" for item in outliers[:MOST_NAMED]]
+        if len(outliers) > MOST_NAMED:
+            rows.append(f"and {len(outliers) - MOST_NAMED} outliers more: assess(calibration).outliers")
         what = f"calibration of {self.schedule.name}: model {self.model}, {self.way}, {len(fitted)} points"
         return "\n  ".join([what, *rows])
 

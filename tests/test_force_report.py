@@ -1,0 +1,93 @@
+"""The page of a force says what was used and how the mean load becomes the mean force."""
+
+from __future__ import annotations
+
+import json
+import re
+import warnings
+from dataclasses import replace
+from html import unescape
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from aerobalance.app.cli.program import main
+from aerobalance.app.reports.page import sentence
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.io import write_recording
+from aerobalance.io.dynamics_file import write_dynamics
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.errors import DataQualityWarning
+from aerobalance.recording.recording import Recording
+
+MASS, STIFFNESS, PITCH, FORCE = 178.0, 3.09e7, np.radians(2.5), 200.0
+
+
+def cells(page: str) -> list[list[str]]:
+    """Cells of all rows of all tables."""
+    rows = re.findall(r"<tr[^>]*>(.*?)</tr>", page, flags=re.DOTALL)
+    return [
+        [unescape(re.sub(r"<[^>]+>", "", one)).strip() for one in re.findall(r"<t[hd].*?</t[hd]>", row)]
+        for row in rows
+    ]
+
+
+def reported(folder: Path, monkeypatch, capsys, dynamics, *, components=("AF",)) -> tuple[dict, str]:
+    """A steady force under the weight, as the command works it out; 1 N of noise on each reading."""
+    generator = np.random.default_rng(11)
+    time = np.arange(3200) / 1600
+    weight = MASS * STANDARD_GRAVITY * np.sin(PITCH)
+    channels = {"pitch": Channel("pitch", np.full(time.size, PITCH), "rad")}
+    for name in components:
+        load = FORCE + (weight if name == "AF" else 0.0) + generator.normal(0, 1, time.size)
+        channels[name] = Channel(name, load, "N")
+    run = Recording.from_columns(time, channels, name="run")
+    monkeypatch.chdir(folder)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)
+        write_recording(folder / "run.h5", replace(run, epoch=np.datetime64("2024-03-12T08:30:00", "us")))
+        write_dynamics(folder / "d.json", dynamics)
+        assert main(["force", "run.h5", "--dynamics", "d.json", "-o", "f.csv", "--json", "--report", "r.html"]) == 0
+    return json.loads(capsys.readouterr().out), Path("r.html").read_text(encoding="utf-8")
+
+
+def test_the_page_says_what_was_used_and_leads_from_load_to_force(tmp_path, monkeypatch, capsys) -> None:
+    damping = 2 * 0.006 * np.sqrt(STIFFNESS * MASS)
+    own = Dynamics("AF", MASS, STIFFNESS, damping, covariance=np.diag([0.25, 1e8, 4.0, 0.0]))
+    found, page = reported(tmp_path, monkeypatch, capsys, {"AF": own})
+    part = found["components"]["AF"]
+    weight = MASS * STANDARD_GRAVITY * np.sin(PITCH)
+    # six standard deviations of a mean of 3200 readings
+    assert part["mean_load"] == pytest.approx(FORCE + weight, abs=6 / np.sqrt(3200))
+    assert part["mean_weight"] == pytest.approx(weight, rel=1e-9)
+    assert part["mean_load"] - part["mean_weight"] == pytest.approx(part["mean"], abs=6 * part["u_mean"])
+    rows = cells(page)
+    assert ["AF", "Mass", "178.00 ± 0.50", "kg"] in rows
+    assert ["AF", "Stiffness", "30900000 ± 10000", "N/m"] in rows
+    # the root of (2 / 890)^2 + (0.5 / 178 / 2)^2 + (1e4 / 3.09e7 / 2)^2 of the damping ratio
+    assert ["AF", "Damping ratio", "0.006000 ± 0.000016", ""] in rows
+    assert ["record", "Duration", "2", "s"] in rows
+    assert ["record", "Sampling rate", "1600", "Hz"] in rows
+    assert ["record", "First sample", "2024-03-12 08:30:00.000", ""] in rows
+    assert [row[1] for row in rows if row[0] == "Mean weight in it, taken off"] == ["76.141"]
+    assert "ground_acceleration is not recorded" in page
+
+
+def test_of_coupled_components_the_modes_are_listed(tmp_path, monkeypatch, capsys) -> None:
+    rate = 2 * np.pi * np.array([60.0, 90.0])
+    inertia = np.diag(1 / rate**2)
+    dynamics = CoupledDynamics(("NF", "AF"), inertia, np.diag(2 * 0.01 / rate))
+    found, page = reported(tmp_path, monkeypatch, capsys, dynamics, components=("NF", "AF"))
+    rows = [row for row in cells(page) if row[0] == "NF, AF"]
+    assert [row[1] for row in rows] == ["Mode 1", "Mode 2"]
+    assert rows[0][2].startswith("60 Hz, damping ratio 0.01")
+    assert found["components"]["NF"]["mean_weight"] == 0.0  # no mass is known
+
+
+def test_a_sentence_begins_with_a_capital_but_not_in_a_channels_name() -> None:
+    assert sentence("no filter is declared") == "No filter is declared"
+    assert sentence("ground_acceleration is not recorded") == "ground_acceleration is not recorded"
+    assert sentence("") == ""
