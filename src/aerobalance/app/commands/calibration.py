@@ -173,7 +173,7 @@ def summary(calibration: Calibration, quality: Quality) -> str:
         rows,
     )
     left_out = calibration.unidentified_labels
-    lines = [table, "  * bidirectional (AIAA R-091)"]
+    lines = [table, *["  * bidirectional (AIAA R-091)"] * any(d.bidirectional for d in quality.directions)]
     if left_out:
         lines.append(f"terms that the schedule cannot identify, left out: {', '.join(left_out)}")
     if calibration.tares_by_iteration is not None:
