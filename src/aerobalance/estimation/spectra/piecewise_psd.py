@@ -291,7 +291,7 @@ def _level(periodogram: Periodogram, part: slice, background: Array, start: floa
         model = gain * level + noise
         slope = weight @ (gain * (density - model) / model**2)
         step = float(slope / (weight @ (gain / model) ** 2))
-        level = float(np.clip(level + step, start / reach, start * reach))
+        level = min(max(level + step, start / reach), start * reach)
     model = gain * level + noise
     worth = weight @ (np.log(noise / model) + density * (1 / noise - 1 / model))
     return level if worth >= WORTH else 0.0

@@ -181,7 +181,7 @@ def _noise_level(periodogram: Periodogram, load: Array, start: float) -> float:
         model = known + noise
         slope = periodogram.weight @ ((periodogram.density - model) / model**2)
         step = float(slope / (periodogram.weight @ (1 / model**2)))
-        noise = float(np.clip(noise + step, 0.5 * noise, 2 * noise))
+        noise = min(max(noise + step, 0.5 * noise), 2 * noise)
         if abs(step) < 1e-6 * noise:
             break
     return noise
