@@ -96,10 +96,11 @@ def at_work(name, work, *given, **more):
 
     def look(frame, event, argument):  # the first calls that the library makes of its own files
         file = frame.f_code.co_filename
-        if event == "call" and len(seen) < 20 and "aerobalance" in file and "blas_threads" not in file:
-            sys.setprofile(None)
+        if event == "call" and "aerobalance" in file and "blas_threads" not in file:
+            sys.setprofile(None)  # for good after these: it doubles the time of all that follows
             seen.append(threads())
-            sys.setprofile(look)
+            if len(seen) < 20:
+                sys.setprofile(look)
 
     sys.setprofile(look)
     try:

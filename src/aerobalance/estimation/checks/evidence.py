@@ -124,8 +124,7 @@ class Evidence:
         # the mean of bins whose width grows with frequency, and of each octave about it the median
         level = np.log(np.maximum(np.add.reduceat(power, edges[:-1]) / np.diff(edges), 1e-300))
         middle = np.sqrt(frequency[edges[:-1]] * frequency[np.maximum(edges[1:] - 1, edges[:-1])])
-        about = np.array([np.median(level[np.abs(np.log(middle / f)) < SETTINGS.surroundings * 2]) for f in middle])
-        above = level - about
+        above = level - _medians(level, middle)
         for mode in dynamics.modes:
             above[np.abs(middle / mode.natural_frequency - 1) < SETTINGS.near] = 0.0
         found: list[float] = []
@@ -135,6 +134,16 @@ class Evidence:
             found.append(float(frequency[own][np.argmax(power[own])]))
             above[np.abs(middle / middle[place] - 1) < SETTINGS.surroundings] = 0.0
         return found
+
+
+def _medians(level: Array, middle: Array) -> Array:
+    """Median of the levels at rising frequencies within an octave about each, shape (m,)."""
+    near = np.abs(np.log(middle / middle[:, None])) < SETTINGS.surroundings * 2
+    found = np.empty(middle.size)
+    for place, (first, count) in enumerate(zip(near.argmax(axis=1), near.sum(axis=1), strict=True)):
+        part = np.sort(level[first : first + count])
+        found[place] = (part[(count - 1) // 2] + part[count // 2]) / 2
+    return found
 
 
 def numbers_of(mode: Mode) -> tuple[float, float, float]:

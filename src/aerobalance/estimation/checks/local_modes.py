@@ -15,7 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,6 +149,10 @@ def _lobe() -> Array:
 _LOBE: Final = _lobe()
 
 
+Power: TypeAlias = Callable[[Array], Callable[[Array], Array]]
+"""Gives, at frequencies, the square of the response that parameters stand for."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _LocalFit:
     """A fit over a band: parameters, their covariance, twice the log-likelihood, and how well the band is fitted."""
@@ -176,7 +180,7 @@ def missing_mode(seen: Averaged, dynamics: ModalModel) -> MissingMode | None:
         band = seen.near(centre)
         if band.size < 16:
             continue
-        plain = _fit(seen, band, lambda _, f: _power(dynamics, f), start=np.zeros(0), scale=np.zeros(0))
+        plain = _fit(seen, band, _fixed(dynamics), start=np.zeros(0), scale=np.zeros(0))
         start = np.log([centre, SETTINGS.likely, SETTINGS.share])
         either = [_further_mode(seen, band, dynamics, start, sign=sign) for sign in (1, -1)]
         edge = _edge(seen, band, dynamics, max(either, key=_likelihood).mode)
@@ -241,9 +245,14 @@ def _further_mode(
         f, ratio, share = np.exp(point[:3])
         return Mode(float(f), float(ratio), float(sign * share))
 
-    def bent(point: Array, frequency: Array) -> Array:
-        power = _power(dynamics.with_modes(*dynamics.further_modes, mode_at(point)), frequency)
-        return power if edge is None else power * _edge_factor(seen, point[3:], frequency)
+    def bent(frequency: Array) -> Callable[[Array], Array]:
+        beside = _beside_others(dynamics, frequency)
+
+        def at(point: Array) -> Array:
+            power = beside(mode_at(point))
+            return power if edge is None else power * _edge_factor(seen, point[3:], frequency)
+
+        return at
 
     if edge is not None:
         start, scale = np.concatenate([start, edge]), np.concatenate([scale, _edge_scale(seen)])
@@ -263,8 +272,9 @@ def _beside_an_edge(
 def _edge(seen: Averaged, band: NDArray[np.intp], dynamics: ModalModel, mode: Mode) -> _LocalFit:
     """The likeliest fit with a load that ends or begins within the band: the edge's frequency [Hz] and its change."""
 
-    def ending(point: Array, frequency: Array) -> Array:
-        return _power(dynamics, frequency) * _edge_factor(seen, point, frequency)
+    def ending(frequency: Array) -> Callable[[Array], Array]:
+        power = _power(dynamics, frequency)
+        return lambda point: power * _edge_factor(seen, point, frequency)
 
     starts = [np.array([mode.natural_frequency, drop]) for drop in SETTINGS.drops]
     starts += _steepest(seen, band, dynamics)
@@ -274,8 +284,8 @@ def _edge(seen: Averaged, band: NDArray[np.intp], dynamics: ModalModel, mode: Mo
 
 def _edge_factor(seen: Averaged, point: Array, frequency: Array) -> Array:
     """What an edge at a frequency [Hz] multiplies the load's spectrum by, at its change of the logarithm [1]."""
-    away = np.clip((frequency - point[0]) / (seen.resolution / 2), -30, 30)
-    return np.asarray(np.exp(np.clip(point[1], -30, 30) / (1 + np.exp(-away))))
+    away = np.minimum(np.maximum((frequency - point[0]) / (seen.resolution / 2), -30), 30)
+    return np.asarray(np.exp(min(max(point[1], -30), 30) / (1 + np.exp(-away))))
 
 
 def _edge_scale(seen: Averaged) -> Array:
@@ -305,6 +315,37 @@ def _power(dynamics: ModalModel, frequency: Array) -> Array:
     return np.asarray(np.abs(dynamics.response(frequency)) ** 2)
 
 
+def _fixed(dynamics: ModalModel) -> Power:
+    """The square of the response of dynamics that nothing is looked for in."""
+
+    def power(frequency: Array) -> Callable[[Array], Array]:
+        found = _power(dynamics, frequency)
+        return lambda _: found
+
+    return power
+
+
+def _beside_others(dynamics: ModalModel, frequency: Array) -> Callable[[Mode], Array]:
+    """The square of the response at frequencies [Hz] with one more mode.
+
+    It is what `_power` gives of `with_modes`; what does not hang on that mode is worked out once.
+    """
+    first, *others = dynamics.modes
+    alone, rates = first.response(frequency), 2j * np.pi * frequency
+    parts = [(mode.share + mode.rate_share * rates) * mode.response(frequency) for mode in others]
+    shares = [mode.share for mode in others]
+
+    def power(mode: Mode) -> Array:
+        # a new mode shows none of its rate, so that of the first stays; the first has what others leave
+        share = 1.0 - sum([*shares, mode.share])
+        response = (share + first.rate_share * rates) * alone if first.rate_share else share * alone
+        for part in parts:
+            response = response + part
+        return np.asarray(np.abs(response + mode.share * mode.response(frequency)) ** 2)
+
+    return power
+
+
 def own_resonance(seen: Averaged, dynamics: ModalModel) -> tuple[Array, Array, float] | None:
     """Relative change of natural frequency and damping ratio of the first mode, their covariance and the evidence.
 
@@ -327,9 +368,9 @@ def own_resonance(seen: Averaged, dynamics: ModalModel) -> tuple[Array, Array, f
         w, ratio = np.exp(point)
         return dynamics.retuned(frequency=float(w), damping=float(ratio))
 
-    plain = _fit(seen, band, lambda _, f: _power(dynamics, f), start=np.zeros(0), scale=np.zeros(0))
+    plain = _fit(seen, band, _fixed(dynamics), start=np.zeros(0), scale=np.zeros(0))
     scale = np.array([0.3 * dynamics.damping_ratio, 0.2])
-    found = _fit(seen, band, lambda point, f: _power(changed(point), f), start=np.zeros(2), scale=scale)
+    found = _fit(seen, band, lambda f: lambda point: _power(changed(point), f), start=np.zeros(2), scale=scale)
     moved, ratio = np.exp(np.clip(found.point, -700, 700)) * (1.0, dynamics.damping_ratio)
     if (
         found.misfit > SETTINGS.misfit or abs(moved - 1) > SETTINGS.band or ratio >= 1
@@ -365,26 +406,23 @@ def _peaks(seen: Averaged, dynamics: ModalModel) -> list[float]:
     return found
 
 
-def _fit(
-    seen: Averaged, band: NDArray[np.intp], power: Callable[[Array, Array], Array], *, start: Array, scale: Array
-) -> _LocalFit:
-    """Maximum likelihood over a band; level and slope of the force's spectrum come after the given parameters.
-
-    `power` gives the square of the response, at frequencies, that the parameters stand for.
-    """
+def _fit(seen: Averaged, band: NDArray[np.intp], power: Power, *, start: Array, scale: Array) -> _LocalFit:
+    """Maximum likelihood over a band; level and slope of the force's spectrum come after the given parameters."""
     centre = float(seen.frequency[band].mean())
     frequency = seen.fine(band)
-    log_ratio = np.log(np.maximum(frequency, seen.resolution) / centre)
+    log_ratio = np.clip(np.log(np.maximum(frequency, seen.resolution) / centre), -1, 1)
+    transfer = power(frequency)
     weight = seen.averages * SETTINGS.independent
 
     def expected(point: Array) -> Array:
-        transfer = power(point[: start.size], frequency)
-        force = np.exp(np.clip(point[start.size] + point[start.size + 1] * np.clip(log_ratio, -1, 1), -690, 690))
-        return smeared(transfer * force + seen.noise)
+        force = np.exp(np.minimum(np.maximum(point[start.size] + point[start.size + 1] * log_ratio, -690), 690))
+        return smeared(transfer(point[: start.size]) * force + seen.noise)
 
-    level0 = float(np.median(seen.power[band] / power(start, seen.frequency[band])))
+    level0 = float(np.median(seen.power[band] / power(seen.frequency[band])(start)))
     origin = np.concatenate([start, [np.log(max(level0, 1e-300)), 0.0]])
     size = np.concatenate([scale, [0.3, 1.0]])
+
+    readings = seen.power[band]
 
     def loss(moved: Array) -> float:
         try:
@@ -394,7 +432,7 @@ def _fit(
             return 1e12
         if not (level > 0).all():
             return 1e12
-        return float(weight * np.sum(np.log(level) + seen.power[band] / level))
+        return float(weight * np.sum(np.log(level) + readings / level))
 
     found = minimize(loss, np.zeros(origin.size), method="BFGS", options={"gtol": 1e-3, "maxiter": 60})
     point = origin + size * found.x

@@ -238,7 +238,8 @@ def _lowered(
         moved = free[going] & ~outward
         slope = np.where(moved, gradient, 0.0)
         bend = information * (moved[:, :, None] & moved[:, None, :])
-        step = _step(slope, bend, damping, np.clip([lower - here, upper - here], -LONGEST_STEP, LONGEST_STEP))
+        reach = np.maximum(lower - here, -LONGEST_STEP), np.minimum(upper - here, LONGEST_STEP)
+        step = _step(slope, bend, damping, reach)
         promise = -np.sum(slope * step, axis=1) - 0.5 * np.einsum("bi,bij,bj->b", step, bend, step)
         on = promise > enough
         if not on.all():  # what has come to its end is looked at no more
@@ -246,7 +247,7 @@ def _lowered(
             cost, gradient, information = cost[on], gradient[on], information[on]
             if not going.size:
                 break
-        trial = np.where(free[going], np.clip(here + step, lower, upper), here)
+        trial = np.where(free[going], np.minimum(np.maximum(here + step, lower), upper), here)
         after = averages.slopes(trial)
         better = after[0] < cost
         here = np.where(better[:, None], trial, here)
@@ -258,7 +259,7 @@ def _lowered(
     return points, found
 
 
-def _step(slope: Array, bend: Array, damping: Array, limits: Array) -> Array:
+def _step(slope: Array, bend: Array, damping: Array, limits: tuple[Array, Array]) -> Array:
     """Steps (b, 5) of damped scoring: what would go too far stops there, and the others go on from that."""
     step = _solved(slope, bend, damping)
     stops = (step < limits[0]) | (step > limits[1])
@@ -266,7 +267,7 @@ def _step(slope: Array, bend: Array, damping: Array, limits: Array) -> Array:
         there = np.where(stops, np.clip(step, *limits), 0.0)
         left = np.where(stops, 0.0, slope + np.einsum("bij,bj->bi", bend, there))
         step = there + _solved(left, np.where(stops[:, :, None] | stops[:, None, :], 0.0, bend), damping)
-    return np.clip(step, *limits)
+    return np.asarray(np.minimum(np.maximum(step, limits[0]), limits[1]))
 
 
 def _solved(slope: Array, bend: Array, damping: Array) -> Array:

@@ -240,7 +240,7 @@ class Periodogram:
         if known is not None:
             return known
         place = (edge - float(self.ordinates[0, 0])) / self.step
-        low, high = (int(np.clip(round(place) + reach, 0, self.ordinates.shape[1])) for reach in (-LOBES, LOBES))
+        low, high = (min(max(round(place) + reach, 0), self.ordinates.shape[1]) for reach in (-LOBES, LOBES))
         first = max(int(np.searchsorted(self.edges, low, side="right")) - 1, 0)
         last = int(np.searchsorted(self.edges, high))
         found = np.where(np.arange(self.edges.size) >= last, self.gain, 0.0)

@@ -43,6 +43,12 @@ LEAK: Final = 40
 FAR: Final = 128
 """The same for a force 1e11 times as strong as the noise, as it is in a record without any."""
 
+AT_ONCE: Final = 64
+"""Averages whose costs are worked out at once."""
+
+SAME: Final = 1e-9
+"""Distance of two edges, in ordinates, over which the window leaks the same."""
+
 
 def fit_segments(periodogram: Periodogram, noise: float, *, rising: bool = False) -> Spectrum:
     """The segments of constant level that are most likely at the price of a change, by dynamic programming.
@@ -60,9 +66,13 @@ def fit_segments(periodogram: Periodogram, noise: float, *, rising: bool = False
         Whether the force may be stronger where the balance weakens it.
     """
     gain, background = periodogram.gain, periodogram.background(noise)
-    levels, cost = _costs(periodogram, background)
-    if not rising:
-        cost[np.ix_(gain < WEAKENED, levels > _highest(periodogram, levels, cost))] = np.inf
+    levels = _levels(periodogram, background)
+    weakened = np.zeros(gain.size, dtype=np.bool_) if rising else gain < WEAKENED
+    cost = np.empty((gain.size, levels.size))
+    _write_costs(cost, periodogram, background, levels, ~weakened)
+    if weakened.any():
+        allowed = int(np.count_nonzero(levels <= _highest(periodogram, levels, cost[~weakened])))
+        _write_costs(cost, periodogram, background, levels[:allowed], weakened)
     path = _cheapest(cost)
     first = np.concatenate([[0], np.flatnonzero(np.diff(path)) + 1])
     last = np.append(first[1:], gain.size)
@@ -115,7 +125,10 @@ def fit_noise_levels(periodogram: Periodogram, noise: float) -> NoiseLevels:
     found = np.full(weight.size, noise)
     if not weakened.any():
         return NoiseLevels(found, weakened)
-    levels, cost = _costs(periodogram, periodogram.background(noise))
+    background = periodogram.background(noise)
+    levels = _levels(periodogram, background)
+    cost = np.empty((weight.size, levels.size))
+    _write_costs(cost, periodogram, background, levels, np.full(weight.size, True))
     least = max(float(density[weakened].min()), 1e-6 * noise)
     most = max(float(density[weakened].max()), 2 * least)
     count = int(LEVELS_A_DECADE * np.log10(most / least)) + 2
@@ -156,7 +169,7 @@ def fit_noise_levels(periodogram: Periodogram, noise: float) -> NoiseLevels:
     if known.size:
         after = np.minimum(np.searchsorted(known, np.arange(path.size)), known.size - 1)
         found = found[known[after]]
-    strong = np.append(levels, np.zeros(count))[path] > _highest(periodogram, levels, cost)
+    strong = np.append(levels, np.zeros(count))[path] > _highest(periodogram, levels, cost[~weakened])
     rising = weakened & strong & (shown > noise)
     above = float(periodogram.frequency[rising][0]) if rising.any() else np.inf
     wide = periodogram.step * float(np.sum(periodogram.count[rising]))
@@ -164,11 +177,11 @@ def fit_noise_levels(periodogram: Periodogram, noise: float) -> NoiseLevels:
 
 
 def _highest(periodogram: Periodogram, levels: Array, cost: Array) -> float:
-    """Highest level of the force, lines apart, where the balance does not weaken it [N^2/Hz]."""
+    """Highest level of the force, lines apart, where the balance does not weaken it [N^2/Hz], by the costs there."""
     strong = periodogram.gain >= WEAKENED
     if not strong.any():
         return np.inf
-    weight, below = periodogram.weight[strong], levels[_cheapest(cost[strong])]
+    weight, below = periodogram.weight[strong], levels[_cheapest(cost)]
     order = np.argsort(-below)
     share = np.cumsum(weight[order]) / np.sum(weight)
     return float(below[order][np.searchsorted(share, LINES)])
@@ -188,19 +201,29 @@ def pruned(spectrum: Spectrum, likelihood: Callable[[Spectrum], float], *, worth
     return spectrum
 
 
-def _costs(periodogram: Periodogram, background: Array) -> tuple[Array, Array]:
-    """Levels that are tried, none first, shape (l,), and for each average what each costs, shape (m, l)."""
-    gain, density, weight = periodogram.gain, periodogram.density, periodogram.weight
-    least = FAINTEST * float(np.min(background / gain))
-    most = max(float(np.max(density / gain)), 10 * least)
+def _levels(periodogram: Periodogram, background: Array) -> Array:
+    """Levels that are tried, none first, shape (l,)."""
+    least = FAINTEST * float(np.min(background / periodogram.gain))
+    most = max(float(np.max(periodogram.density / periodogram.gain)), 10 * least)
     levels = np.geomspace(least, most, int(LEVELS_A_DECADE * np.log10(most / least)) + 2)
-    levels = np.concatenate([[0.0], levels])
-    model = np.outer(gain, levels)
-    model += background[:, None]
-    cost = np.log(model)
-    cost += np.divide(density[:, None], model, out=model)
-    cost *= weight[:, None]
-    return levels, cost
+    return np.concatenate([[0.0], levels])
+
+
+def _write_costs(
+    cost: Array, periodogram: Periodogram, background: Array, levels: Array, where: NDArray[np.bool_]
+) -> None:
+    """Write into a table (m, l) what each level costs at some of the averages; further columns are of none."""
+    gain, density, weight = (values[:, None] for values in (periodogram.gain, periodogram.density, periodogram.weight))
+    rows, background = np.flatnonzero(where), background[:, None]
+    for first in range(0, rows.size, AT_ONCE):  # so few are worked on near the processor
+        some = rows[first : first + AT_ONCE]
+        model = gain[some] * levels
+        model += background[some]
+        found = np.log(model)
+        found += np.divide(density[some], model, out=model)
+        found *= weight[some]
+        cost[some, : levels.size] = found
+        cost[some, levels.size :] = np.inf
 
 
 def _cheapest(cost: Array) -> NDArray[np.int64]:
@@ -270,11 +293,14 @@ class _EdgeCost:
 
     def best(self, tried: Array) -> float:
         """The edge of least cost among some that are tried, in ordinates from the first."""
-        count = self.density.size
-        near = np.floor(tried).astype(np.int64)[:, None] - self.start + np.arange(1 - FAR, FAR + 1)
+        count, below, about = self.density.size, np.floor(tried), np.arange(1 - FAR, FAR + 1)
+        near = below.astype(np.int64)[:, None] - self.start + about
         inside = (near >= 0) & (near < count)
-        near = np.clip(near, 0, count - 1)
-        share = leaked(near + self.start - tried[:, None])
+        near = np.minimum(np.maximum(near, 0), count - 1)
+        above = tried - below
+        if float(above.max() - above.min()) < SAME:  # they are whole ordinates apart
+            above = above[:1]
+        share = leaked(about - above[:, None])
         force = self.levels[0] + (self.levels[1] - self.levels[0]) * share
         model = self.gain[near] * force + self.background[near]
         cost = np.sum(np.where(inside, np.log(model) + self.density[near] / model, 0.0), axis=1)
@@ -291,7 +317,7 @@ def _level(periodogram: Periodogram, part: slice, background: Array, start: floa
         model = gain * level + noise
         slope = weight @ (gain * (density - model) / model**2)
         step = float(slope / (weight @ (gain / model) ** 2))
-        level = float(np.clip(level + step, start / reach, start * reach))
+        level = min(max(level + step, start / reach), start * reach)
     model = gain * level + noise
     worth = weight @ (np.log(noise / model) + density * (1 / noise - 1 / model))
     return level if worth >= WORTH else 0.0

@@ -179,9 +179,10 @@ def _noise_level(periodogram: Periodogram, load: Array, start: float) -> float:
     known = load + periodogram.background(0.0)
     for _ in range(20):
         model = known + noise
-        slope = periodogram.weight @ ((periodogram.density - model) / model**2)
-        step = float(slope / (periodogram.weight @ (1 / model**2)))
-        noise = float(np.clip(noise + step, 0.5 * noise, 2 * noise))
+        square = model**2
+        slope = periodogram.weight @ ((periodogram.density - model) / square)
+        step = float(slope / (periodogram.weight @ (1 / square)))
+        noise = min(max(noise + step, 0.5 * noise), 2 * noise)
         if abs(step) < 1e-6 * noise:
             break
     return noise
