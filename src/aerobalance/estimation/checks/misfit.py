@@ -17,7 +17,7 @@ from aerobalance.dynamics.modal import ModalModel, Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.local_modes import Averaged, missing_mode, own_resonance
 from aerobalance.estimation.checks.peaks import Peak
-from aerobalance.estimation.checks.resonance import Spoken, spoken_for
+from aerobalance.estimation.checks.resonance import Spoken, left_open, spoken_for
 from aerobalance.estimation.checks.steady_tones import without_tones
 from aerobalance.estimation.checks.step_ringing import change_by_steps
 from aerobalance.estimation.independent_record import SingleRecord
@@ -253,6 +253,9 @@ def misfit_of(
         ]
         if any(both) and gain > SETTINGS.drift**2:
             found = replace(found, frequency=both[0], damping=both[1])
+        elif spoken is None:
+            moved = dynamics.retuned(frequency=float(np.exp(change[0])), damping=float(np.exp(change[1])))
+            spoken = left_open(Spoken("natural frequency", moved, gain / 2), gain / 2)
     possible = None if spoken is None or found.changed else spoken
     return replace(found, possible=possible)
 

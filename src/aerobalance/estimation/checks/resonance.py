@@ -258,10 +258,14 @@ def _beside(
     if spoken is None or gain >= SETTINGS.decisive_near:
         return spoken
     off = float(np.log(other.damping_ratio / dynamics.damping_ratio) / np.log(SETTINGS.usual))
-    posterior = gain - 0.5 * off**2
-    if posterior < SETTINGS.open_from:
+    return left_open(spoken, gain - 0.5 * off**2)
+
+
+def left_open(spoken: Spoken, gain: float) -> Spoken | None:
+    """The same with its probability by a gain in log-likelihood that is not decisive; None where chance gives that."""
+    if gain < SETTINGS.open_from:
         return None
-    return spoken._replace(probability=float(expit(SETTINGS.open_steepness * (posterior - SETTINGS.open_half))))
+    return spoken._replace(probability=float(expit(SETTINGS.open_steepness * (gain - SETTINGS.open_half))))
 
 
 def _price(kind: str, evidence: Evidence) -> float:
@@ -349,7 +353,8 @@ def _others(dynamics: Dynamics, peaks: list[float], *, confirmed: float) -> Iter
         peak for peak in peaks if all(abs(peak / mode.natural_frequency - 1) > SETTINGS.far for mode in dynamics.modes)
     ]
     for peak in peaks:
-        if confirmed < SETTINGS.confirmed:
+        near = abs(peak / dynamics.natural_frequency - 1) < SETTINGS.far  # a little off, it explains much as well
+        if near or confirmed < SETTINGS.confirmed:
             yield "natural frequency", dynamics.retuned(frequency=peak / dynamics.natural_frequency, damping=1.0)
         large = peak in (*peaks[:1], *apart[:1])
         for share, ratio in (*SETTINGS.shares, *(SETTINGS.large_shares if large else ())):
