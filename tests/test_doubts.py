@@ -238,7 +238,7 @@ def test_the_command_says_it_in_fields_and_at_the_top(tmp_path: Path, monkeypatc
     assert doubt["effect"] > 50
     assert doubt["advice"]
     page = Path("r.html").read_text(encoding="utf-8")
-    assert page.index("Ground_acceleration is 0.9") < page.index("Uncertainty budget")
+    assert page.index("ground_acceleration is 0.9") < page.index("Uncertainty budget")
     assert "of its fluctuation" in page
 
 

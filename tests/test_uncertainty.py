@@ -189,7 +189,7 @@ def test_gravity_and_accelerometer_zero_are_carried():
     pitch = np.full(800, 0.2)
     ground = np.full(800, 2.0) + 1e-3 * np.sin(np.arange(800) / 9)
     given = record(
-        AF=np.sin(np.arange(800.0)),
+        AF=T128.mass * STANDARD_GRAVITY * np.sin(0.2) + np.sin(np.arange(800.0)),
         pitch=(pitch, {"noise": 0.0}),
         ground_acceleration=(ground, {"noise": 0.0, "zero_uncertainty": 0.03}),
     )

@@ -31,7 +31,7 @@ def calibrated(rng: np.random.Generator) -> tuple[BalanceMatrix, Calibration]:
 
 def recording(rng: np.random.Generator) -> ab.Recording:
     time = np.arange(2000) / RATE
-    columns = {"AF": rng.normal(size=time.size), "pitch": np.full(time.size, 2.0)}
+    columns = {"AF": 60.0 + rng.normal(size=time.size), "pitch": np.full(time.size, 2.0)}
     return ab.Recording.from_arrays(time, columns, units={"pitch": "deg"})
 
 

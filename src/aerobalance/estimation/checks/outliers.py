@@ -48,6 +48,12 @@ UNIT_ADVICE: Final = (
 )
 """What to do about a load that is far larger than those that the dynamics were identified with."""
 
+WEIGHT_ADVICE: Final = (
+    "check the mass, the angle, the unit of the load, and whether the load was zeroed under the weight, which is then "
+    "taken off it once more"
+)
+"""What to do about a weight that is far larger than the load."""
+
 
 def without_wild_samples(
     given: Recording | Loads, components: Sequence[str]
@@ -151,7 +157,7 @@ def _doubts_of_size(recording: Recording, dynamics: BalanceDynamics, name: str) 
             f"the weight of {own.mass:.6g} kg along {name} is {usual:.4g} {unit}, {usual / largest:.3g} times the "
             f"largest load that was read ({largest:.4g} {unit})"
         )
-        yield Doubt("units", name, text, "check the mass, the angle and the unit of the load", None, unit)
+        yield Doubt("units", name, text, WEIGHT_ADVICE, None, unit)
 
 
 def _of_ground(name: str) -> bool:
