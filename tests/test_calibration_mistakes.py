@@ -121,8 +121,9 @@ def test_two_lines_that_are_exchanged_name_each_other(make, rng) -> None:
     loads = schedule.loads.copy()
     loads[[point, other]] = loads[[other, point]]
     _, said = outliers_of(replace(schedule, loads=loads), "auto")
-    assert f"probably exchanged with {schedule.label(other)!r}" in said, said
-    assert f"probably exchanged with {schedule.label(point)!r}" in said, said
+    both = repr(schedule.label(point)), repr(schedule.label(other))
+    assert any(f"probably exchanged with {label}" in said for label in both), said
+    assert all(label in said for label in both), said
 
 
 def test_a_small_typing_error_blames_no_sound_point(rng) -> None:
