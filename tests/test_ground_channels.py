@@ -49,7 +49,7 @@ def test_sound_channels_are_not_doubted(name, seed):
     doubted = []
     for one in range(trials(2, 24)):
         force = shaken(np.random.default_rng([seed, one]), **SOUND[name]).used.force
-        doubted += [force.doubts] if force.doubts else []
+        doubted += [about_ground(force)] if about_ground(force) else []
     # eight channels of three numbers, each beyond its limit once in 700 records of all eight by chance
     assert len(doubted) <= 1, doubted
 
