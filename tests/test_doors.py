@@ -14,7 +14,7 @@ import pytest
 import aerobalance as ab
 from aerobalance.app.cli.program import main
 from aerobalance.dynamics.independent import dynamics_of
-from aerobalance.estimation.checks.outliers import impossible_channels
+from aerobalance.estimation.checks.impossible_channels import impossible_channels
 from aerobalance.estimation.force import estimate_force
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.channel import Channel

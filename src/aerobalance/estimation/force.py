@@ -24,8 +24,9 @@ from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import AnyDynamics, IndependentDynamics, dynamics_of
 from aerobalance.estimation.applied_force import Force
+from aerobalance.estimation.checks.impossible_channels import impossible_channels
 from aerobalance.estimation.checks.model_check import checked
-from aerobalance.estimation.checks.outliers import impossible_channels, without_wild_samples
+from aerobalance.estimation.checks.outliers import without_wild_samples
 from aerobalance.estimation.component_force import Method, by_smoother, noise_of_component
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.force_collector import ForceCollector
