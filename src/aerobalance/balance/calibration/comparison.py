@@ -118,11 +118,10 @@ def _matched(before: BalanceMatrix, after: BalanceMatrix) -> list[int]:
 def _linear_sensitivity(matrix: BalanceMatrix) -> tuple[Array, Array]:
     """Outputs by loads at zero load, and their standard uncertainties, shape (c, c) [mV/V/N]."""
     c = len(matrix.components)
-    value: Array = np.zeros((c, c))
+    value = matrix.linear
     variance: Array = np.zeros((c, c))
     for row, term in enumerate(matrix.terms):
         if term.kind == 0:
-            value[:, term.first] = matrix.coefficients[row]
             variance[:, term.first] = matrix.covariance[:, row, row]
     if matrix.way == "non-iterative":
         inverse = np.linalg.inv(value)

@@ -98,11 +98,12 @@ class Outlier:
 
 def outlying_points(regressions: Sequence[Regression], scale: Array) -> NDArray[np.bool_]:
     """Return which points contradict the others in any component, shape (n,); `scale` of outputs, (c,) [mV/V]."""
-    far = [
-        fit.outlying & (np.abs(fit.deleted) * size > SETTINGS.residual)
-        for fit, size in zip(regressions, scale, strict=True)
-    ]
-    return np.asarray(np.any(far, axis=0))
+    return np.asarray(np.any([_far(fit, size) for fit, size in zip(regressions, scale, strict=True)], axis=0))
+
+
+def _far(fit: Regression, scale: float) -> NDArray[np.bool_]:
+    """Which points contradict the others in one component, by more than chance and than is looked into, shape (n,)."""
+    return np.asarray(fit.outlying & (np.abs(fit.deleted) * scale > SETTINGS.residual))
 
 
 def find_outliers(
@@ -134,11 +135,11 @@ def find_outliers(
     found = []
     for index, fit in enumerate(regressions):
         output = fit.deleted * scale[index]
-        for row in np.flatnonzero(fit.outlying & (np.abs(output) > SETTINGS.residual)):
+        for row in np.flatnonzero(_far(fit, scale[index])):
             point = int(points[row])
             read = schedule.loads[point] + more[row] * schedule.capacities
             if iterative and _one_bridge(linear, departures[row], deviation):
-                cause = f"the other bridges show nothing of it: the reading of r{schedule.gauges[index]} is wrong"
+                cause = f"the reading of r{schedule.gauges[index]} is wrong, as the other bridges show nothing of it"
             else:
                 cause = _cause(schedule, point, index, read)
             found.append(
