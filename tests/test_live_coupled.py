@@ -8,8 +8,9 @@ from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.estimation.decoupled_record import balance_load
 from aerobalance.estimation.live.decoupling import MARGIN, Decoupler
-from aerobalance.estimation.live.live_force import JUDGED, LiveForce, LiveSettings
+from aerobalance.estimation.live.live_force import JUDGED, LiveForce
 from aerobalance.estimation.live.platform import LiveChannel, LivePlatform
+from aerobalance.estimation.live.settings import LiveSettings
 from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares
 from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.kalman import FORCE, KalmanFilter

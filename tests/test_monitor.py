@@ -36,7 +36,8 @@ from aerobalance.app.monitor.tasks import Tasks
 from aerobalance.app.monitor.view import Panel, View, _weights
 from aerobalance.app.monitor.viewer import UNSHOWN
 from aerobalance.dynamics.independent import NO_DYNAMICS, dynamics_of
-from aerobalance.estimation.live.live_force import LiveForce, LiveSettings
+from aerobalance.estimation.live.live_force import LiveForce
+from aerobalance.estimation.live.settings import LiveSettings
 from aerobalance.io.dynamics_file import read_any_dynamics, write_dynamics
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_layout import StoredChannel

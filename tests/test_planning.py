@@ -15,7 +15,8 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.live.live_force import LiveForce, LiveSettings
+from aerobalance.estimation.live.live_force import LiveForce
+from aerobalance.estimation.live.settings import LiveSettings
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.channel import Array
 from aerobalance.simulation.six_balance import random_balance

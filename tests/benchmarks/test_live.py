@@ -12,7 +12,8 @@ import pytest
 
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.decoupled_record import balance_load
-from aerobalance.estimation.live.live_force import LiveForce, LiveSettings
+from aerobalance.estimation.live.live_force import LiveForce
+from aerobalance.estimation.live.settings import LiveSettings
 from aerobalance.estimation.prior import Observation, SpectralPrior, fit_prior
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array

@@ -20,8 +20,9 @@ sys.path.insert(0, str(Path(__file__).parent))
 import laboratory
 
 from aerobalance.app.cli import main
-from aerobalance.estimation.live.live_force import LiveForce, LiveSettings
+from aerobalance.estimation.live.live_force import LiveForce
 from aerobalance.estimation.live.platform import LiveChannel
+from aerobalance.estimation.live.settings import LiveSettings
 from aerobalance.io import read
 from aerobalance.io.dynamics_file import read_coupled, read_dynamics
 

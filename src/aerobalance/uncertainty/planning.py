@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.dynamics.independent import AnyDynamics, dynamics_of
-from aerobalance.estimation.live.live_force import LAG_PERIODS, SLOWEST
+from aerobalance.estimation.live.settings import LiveSettings
 from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.components import si_unit
 from aerobalance.uncertainty.wiener_bound import (
@@ -224,8 +224,7 @@ def _planned(
     compared_at = min(COMPARED_AT * max(modes, default=np.inf), rate / 2)
     table = [bound.attainable(force, bandwidth=bandwidth, rate=rate) for bandwidth in chosen]
     at_other_rates = [bound.attainable(force, bandwidth=compared_at, rate=factor * rate) for factor in RATE_FACTORS]
-    # As in the live estimator: a decoupled channel can have a natural frequency far below that of every mode.
-    slowest = SLOWEST * min(modes, default=0.0)
+    live, slowest_mode = LiveSettings(), min(modes, default=0.0)
     noise = np.diag([bound.noise[name] ** 2 for name in dynamics.components])
     channels = [dynamics.decoupled(name, noise=noise).dynamics for name in dynamics.components]
     return {
@@ -237,7 +236,7 @@ def _planned(
             force=None if force is None else force[name],
             table=tuple(rows[place] for rows in table),
             at_other_rates=tuple(rows[place] for rows in at_other_rates),
-            live_lag=LAG_PERIODS / max(channels[place].natural_frequency, slowest),
+            live_lag=live.time_behind(channels[place].natural_frequency, slowest_mode=slowest_mode),
         )
         for place, name in enumerate(dynamics.components)
     }

@@ -39,7 +39,8 @@ from aerobalance.app.monitor.messages import (
 from aerobalance.app.monitor.orphan import end_with_starter
 from aerobalance.app.monitor.panels import panel_of
 from aerobalance.app.monitor.view import View
-from aerobalance.estimation.live.live_force import LiveForce, LiveSettings
+from aerobalance.estimation.live.live_force import LiveForce
+from aerobalance.estimation.live.settings import LiveSettings
 from aerobalance.recording.errors import FitError, ReadError
 from aerobalance.simulation.published import CABLE_CUT
 

@@ -26,8 +26,9 @@ from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.weight_on_zero import gauge_zero_of_readings
 from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.estimation.live.health import LiveEstimate
-from aerobalance.estimation.live.live_force import LiveForce, LiveSettings
+from aerobalance.estimation.live.live_force import LiveForce
 from aerobalance.estimation.live.platform import LiveChannel
+from aerobalance.estimation.live.settings import LiveSettings
 from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.measure import LARGEST
 from aerobalance.recording.channel import Array, Channel

@@ -37,8 +37,10 @@ from aerobalance.estimation.live.health import (
     Watch,
     wide_process,
 )
+from aerobalance.estimation.live.recent_readings import RecentReadings
+from aerobalance.estimation.live.settings import SmootherSettings
 from aerobalance.estimation.live.steps import STEP_LAGS, Followed, Following, place_step
-from aerobalance.estimation.prior import Observation, SpectralPrior
+from aerobalance.estimation.prior import Observation
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, LOAD_RATE
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array
@@ -52,48 +54,6 @@ WIDE_DOUBT: Final = 2.0
 
 FEW_STEPS: Final = 2
 """Steps within the time of `STEP_LAGS` that are taken for steps."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SmootherSettings:
-    """How one decoupled channel is smoothed.
-
-    Attributes
-    ----------
-    interval
-        Time between samples [s].
-    lag
-        Samples after a sample that its force is made from.
-    settling
-        Readings after which their noise is known well enough to tell what is strange, and the strength of the wide
-        band is judged anew.
-    learned
-        Spectral prior of the force and noise of a reading, the noise white; None to begin with a wide band.
-    input_noise
-        Density of the noise that the motion taken off has brought into the force, white [N^2/Hz, two-sided].
-    free_after_gap
-        Whether a free oscillation that nothing explains may have begun wherever readings are missing.
-    highest
-        Natural frequency up to which, and somewhat beyond, the force is taken to reach while nothing is learned [Hz].
-    learn_inside
-        Whether the prior is learned within `ComponentSmoother.push`; else `ComponentSmoother.due` says when.
-    first_learning, last_learning
-        Readings after which it is learned first, and again when there are twice as many, until there are so many.
-    learned_from
-        Readings that it is learned from at most.
-    """
-
-    interval: float
-    lag: int
-    settling: int
-    learned: SpectralPrior | None = None
-    input_noise: float = 0.0
-    free_after_gap: bool = False
-    highest: float
-    learn_inside: bool = True
-    first_learning: int
-    last_learning: int
-    learned_from: int
 
 
 class FinalSamples(NamedTuple):
@@ -448,44 +408,3 @@ def _reached(values: Array, wanted: int) -> int:
     """Samples from the first until so many of them are present; 0 if there are not so many."""
     place = int(np.searchsorted(np.cumsum(np.isfinite(values)), wanted))
     return place + 1 if place < values.size else 0
-
-
-class RecentReadings:
-    """The last readings, as many as are wanted at least.
-
-    Parameters
-    ----------
-    most
-        Readings that are kept.
-    """
-
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._values = np.empty(0)
-        self._first = self._stop = 0
-
-    @property
-    def oldest(self) -> int:
-        """Number of the oldest that is kept."""
-        return self._first
-
-    @property
-    def stop(self) -> int:
-        """Number after the newest."""
-        return self._stop
-
-    def append(self, values: Array) -> None:
-        """Add readings."""
-        used = self._stop - self._first
-        if used + values.size > self._values.size:
-            kept = min(used, self._most)
-            room = np.empty(2 * (kept + values.size) + self._most)
-            room[:kept] = self._values[used - kept : used]
-            self._first, self._values = self._stop - kept, room
-            used = kept
-        self._values[used : used + values.size] = values
-        self._stop += values.size
-
-    def between(self, first: int, stop: int) -> Array:
-        """Readings from a number up to another."""
-        return self._values[first - self._first : stop - self._first].copy()

@@ -5,8 +5,8 @@ Eq. (17) of [Gorbushin2020]_ with matrices, F = X + D X' + A X'' - W + M x1''. T
     block -> saturated readings become missing; a short gap is bridged by missing samples, a long one begins anew
           -> channels that lag each other are aligned           (alignment.Aligner)
           -> as many samples as the natural frequencies need     (decimation.Decimator)
-          -> does the non-metric end move?                       (motion_test.MotionTest)
-          -> its motion, and the loads of it on the moving mass  (platform.LivePlatform, equation.Equation)
+          -> does the non-metric end move, and how?              (base_motion.BaseMotion)
+          -> the loads of that on the moving mass                (equation.Equation)
           -> each component by itself, those loads taken off     (decoupling.Decoupler)
           -> force by the smoother with a fixed lag              (component_smoother.ComponentSmoother)
           -> with the uncertainty of the dynamics, as soon as all components are final (pending.Pending)
@@ -18,7 +18,6 @@ No clock, no file, no thread. Learning takes longer than a sample may; with `Liv
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -28,74 +27,29 @@ from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.independent import AnyDynamics, dynamics_of
 from aerobalance.estimation.live.alignment import Aligner
+from aerobalance.estimation.live.base_motion import BaseMotion
 from aerobalance.estimation.live.columns import Columns, judged_noise
 from aerobalance.estimation.live.component_smoother import (
     FEWEST,
     ComponentSmoother,
     FinalSamples,
-    SmootherSettings,
 )
 from aerobalance.estimation.live.decimation import Decimator
 from aerobalance.estimation.live.decoupling import Decoupler
 from aerobalance.estimation.live.equation import Equation
-from aerobalance.estimation.live.health import SHORTEST, Health, Learning, LiveEstimate, Snapshot
-from aerobalance.estimation.live.motion_test import MotionTest, MotionTestSettings
+from aerobalance.estimation.live.health import Health, Learning, LiveEstimate, Snapshot
 from aerobalance.estimation.live.pending import Pending
 from aerobalance.estimation.live.platform import LiveChannel
+from aerobalance.estimation.live.settings import LiveSettings
 from aerobalance.estimation.prior import SpectralPrior
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError
-from aerobalance.recording.gravity import gravity_components
-from aerobalance.recording.resampling import hold_over_gaps
-
-LAG_PERIODS: Final = 5.0
-"""Periods of the natural frequency that the force lags the readings, unless said otherwise."""
 
 JUDGED: Final = 256
 """Readings that the covariance of their noise is judged from where it is not given."""
-
-SLOWEST: Final = 0.5
-"""Natural frequency of a decoupled channel that its lag is taken from at least, over that of the slowest mode."""
-
-FEWEST_TO_LEARN: Final = 64
-"""Readings that are learned from at least."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LiveSettings:
-    """How live forces are worked out.
-
-    Attributes
-    ----------
-    lag
-        Time after which the force at a sample is final, decimation and alignment apart [s]; None for `lag_periods`.
-    lag_periods
-        Periods of the slowest natural frequency that make the lag [1].
-    samples_a_period
-        Samples in a period of the highest natural frequency that the force is worked out from at least: from faster
-        readings as many are made one as that allows [1]. ``inf`` to keep them all.
-    learn_inside
-        Whether the spectral prior is learned within `LiveForce.push`, which then takes up to seconds; else
-        `LiveForce.due` says when it is time to.
-    first_learning, last_learning
-        Time after a start at which it is learned; again at twice, four times ... that time, until the latter [s].
-    learned_from
-        Samples, after decimation, that it is learned from at most.
-    motion
-        When the non-metric end is taken to move.
-    """
-
-    lag: float | None = None
-    lag_periods: float = LAG_PERIODS
-    samples_a_period: float = 16.0
-    learn_inside: bool = True
-    first_learning: float = 2.0
-    last_learning: float = 10.0
-    learned_from: int = 12_000
-    motion: MotionTestSettings = field(default_factory=MotionTestSettings)
 
 
 class LiveForce:
@@ -269,7 +223,7 @@ class LiveForce:
     @property
     def moving(self) -> bool:
         """Whether the non-metric end is taken to move."""
-        return self._columns is not None and bool(self._columns.specific.any() or self._test.moves.any())
+        return self._columns is not None and self._motion.moving
 
     @property
     def noise(self) -> Array | None:
@@ -372,7 +326,7 @@ class LiveForce:
         width = len(columns.names)
         self._aligner = Aligner([late * self.rate for late in columns.late])
         self._decimator = Decimator(width, self.factor)
-        self._test = MotionTest(columns.noises, interval=self.interval, settings=self.settings.motion)
+        self._motion = BaseMotion(columns, interval=self.interval, settings=self.settings.motion, gravity=self.gravity)
         self._origin, self._begun = first, 0
         self._waiting = np.empty((0, width))
         self._last = np.zeros(width)
@@ -386,7 +340,7 @@ class LiveForce:
         self._parts: list[ComponentSmoother] | None = None
         self._decoupler: Decoupler | None = None
         self._early: list[tuple[Array, Array]] = []
-        self._held = np.zeros(0)
+        self._motion.forget()
         self.generation += 1
 
     def _begin_again(self) -> None:
@@ -416,8 +370,9 @@ class LiveForce:
         if columns is None or self._noise is None:
             raise AssertionError
         channels = self._channels(self._noise)
-        moves = self.moving or columns.pitch is not None
-        self._decoupler = Decoupler(channels, interval=self.interval, moves=moves, delay=self._equation.delay)
+        self._decoupler = Decoupler(
+            channels, interval=self.interval, moves=self._motion.follows, delay=self._equation.delay
+        )
         self._parts = self._smoothers(channels, ahead=self._decoupler.ahead)
         self._latency = self._decoupler.ahead + max(part.settings.lag for part in self._parts)
         return self._decoupler
@@ -426,29 +381,16 @@ class LiveForce:
         return [self.dynamics.decoupled(name, noise=noise) for name in self.components]
 
     def _smoothers(self, channels: Sequence[DecoupledChannel], *, ahead: int) -> list[ComponentSmoother]:
-        settings, interval = self.settings, self.interval
-        covariance = np.zeros((6, 6))
-        if self._columns is not None:
-            covariance = self._columns.platform.covariance(self._columns.beside_specific(self._test.noise))
+        covariance = np.zeros((6, 6)) if self._columns is None else self._motion.covariance()
         made = []
-        for place, channel in enumerate(channels):
-            row = self._equation.mass[place]
-            slowest = max(channel.dynamics.natural_frequency, SLOWEST * min(self._frequencies, default=0.0))
-            time = settings.lag_periods / slowest if settings.lag is None else settings.lag
-            lag = round(time / interval) - ahead
-            first = max(round(settings.first_learning / interval), FEWEST_TO_LEARN)
-            chosen = SmootherSettings(
-                interval=interval,
-                lag=max(lag, SHORTEST) if settings.lag is None and not channel.alone else lag,
-                settling=2 * (lag if not channel.alone else lag + ahead),
-                learned=self._learned.get(self.components[place]),
-                input_noise=float(max(row @ covariance @ row, 0.0)) * interval,
-                free_after_gap=not channel.alone,
-                highest=max(self._frequencies, default=channel.dynamics.natural_frequency),
-                learn_inside=settings.learn_inside,
-                first_learning=first,
-                last_learning=round(settings.last_learning / interval),
-                learned_from=settings.learned_from,
+        for row, name, channel in zip(self._equation.mass, self.components, channels, strict=True):
+            chosen = self.settings.of_channel(
+                channel,
+                interval=self.interval,
+                ahead=ahead,
+                modes=self._frequencies,
+                learned=self._learned.get(name),
+                input_noise=float(max(row @ covariance @ row, 0.0)) * self.interval,
             )
             made.append(ComponentSmoother(channel.dynamics, chosen))
         return made
@@ -457,15 +399,14 @@ class LiveForce:
 
     def _take(self, rows: Array) -> None:
         """Take decimated samples, up to the next look at the motion at a time."""
-        columns = self._columns
-        while rows.shape[0] and columns is not None:
-            count = min(rows.shape[0], self._test.room()) if columns.watched else rows.shape[0]
+        motion = self._motion
+        while rows.shape[0]:
+            count = motion.room(rows.shape[0])
             part, rows = rows[:count], rows[count:]
-            looked = columns.watched and count == self._test.room()
-            changed = bool(columns.watched) and self._test.push(part[:, columns.watched])
+            looked, changed = motion.watch(part)
             if not self._running:
                 self._waiting = np.concatenate((self._waiting, part))
-                if columns.watched and not looked:
+                if motion.watched and not looked:
                     return
                 part, self._waiting = self._waiting, self._waiting[:0]
                 self._begin()
@@ -485,12 +426,9 @@ class LiveForce:
             self._begin_again()
 
     def _estimate(self, rows: Array) -> None:
-        columns, n = self._columns, len(self.components)
-        if columns is None:
-            raise AssertionError
-        loads = rows[:, :n]
-        force = self._specific_force(rows, columns)
-        net = self._equation.net_load(force, self._turn_rate(rows, columns))
+        loads = rows[:, : len(self.components)]
+        force = self._motion.specific_force(rows)
+        net = self._equation.net_load(force, self._motion.turn_rate(rows))
         self._pending.push(loads, net, force)
         if self._decoupler is None:
             self._early.append((loads, net))
@@ -533,34 +471,6 @@ class LiveForce:
             )
             for place, name in enumerate(self.components)
         }
-
-    # ---- motion of the non-metric end
-
-    def _specific_force(self, rows: Array, columns: Columns) -> Array:
-        """Acceleration of the non-metric end less gravity, shape (m, 6) [m/s^2, rad/s^2]; missing samples are held."""
-        if not self.moving and columns.pitch is None:
-            return np.zeros((rows.shape[0], 6))
-        n = len(self.components)
-        if not self._held.size:
-            self._held = np.zeros(rows.shape[1] - n)
-        known = hold_over_gaps(rows[:, n:], self._held)
-        self._held = known[-1]
-        pull = None
-        if columns.pitch is not None:
-            roll = 0.0 if columns.roll is None else known[:, columns.roll - n]
-            pull = gravity_components(known[:, columns.pitch - n], roll, gravity=self.gravity)
-        if not self.moving:
-            return np.zeros((rows.shape[0], 6)) if pull is None else -pull
-        used = columns.beside_specific(self._test.moves.astype(np.float64), others=1.0)
-        platform = columns.platform.masked(used > 0)
-        return platform.specific_force(known[:, : used.size] * used, pull=pull)
-
-    def _turn_rate(self, rows: Array, columns: Columns) -> Array | None:
-        if not self.moving:
-            return None
-        n = len(self.components)
-        used = columns.beside_specific(self._test.moves.astype(np.float64), others=1.0)
-        return columns.platform.turn_rate(rows[:, n : n + used.size] * used)
 
 
 def _block(dynamics: BalanceDynamics) -> BalanceDynamics:
