@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.modal import ModalModel
+from aerobalance.estimation.checks.clock import check_clock
 from aerobalance.estimation.correlated_noise import SharedNoise
 from aerobalance.estimation.decoupled_record import DecoupledRecord, balance_load
-from aerobalance.estimation.record import BalanceRecord, check_clock, component_channels
+from aerobalance.estimation.record import BalanceRecord, component_channels
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.motion.platform import PlatformMotion
 from aerobalance.recording.channel import Array, Channel

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.independent import IndependentDynamics
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.checks.clock import check_clock
 from aerobalance.estimation.correlated_noise import SharedNoise
 from aerobalance.estimation.error_sources import Contribution, Systematic
 from aerobalance.estimation.record import (
@@ -20,7 +21,6 @@ from aerobalance.estimation.record import (
     BalanceRecord,
     ComponentRecord,
     Through,
-    check_clock,
     component_channels,
 )
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum

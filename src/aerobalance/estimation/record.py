@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -18,7 +18,6 @@ from aerobalance.estimation.error_sources import Contribution, Systematic
 from aerobalance.estimation.prior import Observation
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
-from aerobalance.estimation.spectra.periodogram import INSIDE, LONGEST, density_of
 from aerobalance.motion.gaps import GAP
 from aerobalance.motion.platform import SystematicParameter
 from aerobalance.recording.channel import Array, Channel
@@ -26,21 +25,6 @@ from aerobalance.recording.errors import FitError
 from aerobalance.recording.noise import noise_covariance
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import align_channels, fractional_delay, interpolate_gaps
-
-OTHER_UNITS: Final = {"ms": 1e3, "us": 1e6}
-"""Units of time that are taken for seconds, and how many of them make one."""
-
-SAME_FREQUENCY: Final = 0.02
-"""Relative difference up to which a peak is taken for a mode of the dynamics."""
-
-SURROUNDINGS: Final = 0.5
-"""Share of half the rate below which there are readings on both sides of a peak."""
-
-FEWEST_PERIODS: Final = 20
-"""Periods of a mode in a record from which its peak stands out from what is beside it."""
-
-PEAK: Final = 30.0
-"""Power of a peak over the median of what is beside it: noise reaches it in an ordinate with 0.5^30 = 1e-9."""
 
 FEWEST_SAMPLES: Final = 32
 """Fewest readings of a component that a force is worked out for."""
@@ -62,66 +46,6 @@ def component_channels(recording: Recording, components: Iterable[str]) -> tuple
                 f"{recording.name}: {count} readings of {channel.name}; a force needs at least {FEWEST_SAMPLES}"
             )
     return channels
-
-
-def check_clock(
-    recording: Recording, component: str, *, channels: Sequence[str], frequencies: Sequence[float]
-) -> None:
-    """Refuse a record shorter than one period of the balance, or whose times are in another unit than they say.
-
-    Parameters
-    ----------
-    recording
-        The record, or a part of it.
-    component
-        Which component is the slowest, in words.
-    channels
-        Channels of the balance loads.
-    frequencies
-        Natural frequencies of the dynamics [Hz].
-
-    Raises
-    ------
-    FitError
-        It is, by a wrong clock or wrong dynamics; or the natural frequencies are above half the rate and the loads
-        ring at a thousandth or a millionth of one of them.
-    """
-    whole, frequency = recording.whole_duration, min(frequencies)
-    if whole * frequency < 1:
-        raise FitError(
-            f"{recording.name}: the record takes {whole:.3g} s ({recording.rate:.6g} samples a second), less than one "
-            f"period of {component}, {1 / frequency:.3g} s ({frequency:.4g} Hz): check the unit of the time and the "
-            "dynamics"
-        )
-    if frequency <= recording.rate / 2:
-        return
-    for unit, factor in OTHER_UNITS.items():
-        for name in channels:
-            for own in frequencies:
-                if _rings_at(recording, name, own / factor):
-                    raise FitError(
-                        f"{recording.name}: {name} rings at {own / factor:.4g} Hz by a clock of {recording.rate:.6g} "
-                        f"samples a second. That is 1/{factor:.0f} of a natural frequency of the dynamics, "
-                        f"{own:.4g} Hz, and this is above half the rate: the times are in {unit} and are taken for s. "
-                        f'Write their unit [{unit}] in the header, or put time_unit = "{unit}" under [file] of a '
-                        "channel map (--map), which `aerobalance map FILE` makes; or give the right sampling rate"
-                    )
-
-
-def _rings_at(recording: Recording, name: str, frequency: float) -> bool:
-    """Whether a load has a peak at a frequency [Hz] that chance does not make."""
-    interval = 1 / recording.rate
-    if not FEWEST_PERIODS / recording.whole_duration < frequency < SURROUNDINGS * recording.rate / 2:
-        return False
-    values = interpolate_gaps(recording.channel(name).values)
-    density = density_of(values - values.mean(), interval)
-    place = np.fft.rfftfreq(min(values.size, LONGEST), interval)[INSIDE] / frequency
-    peak = density[np.abs(place - 1) < SAME_FREQUENCY]
-    beside = density[((place > 0.5) & (place < 0.8)) | ((place > 1.25) & (place < 2.0))]
-    if not (peak.size and beside.size and peak.max() > PEAK * np.median(beside)):
-        return False
-    # one of the harmonics of what is repeated, as steps of the attitude are, is not the largest about it
-    return bool(peak.max() == density[(place > 1 / 3.5) & (place < 3.5)].max())
 
 
 PARAMETERS_NAME: Final = "mass, stiffness, damping, delay"
