@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -143,12 +144,28 @@ class StateSpace:
         Q = np.ascontiguousarray(self.process_noise)
         return _kernels.Model(A, np.ascontiguousarray(A.T), Q, self.observation, self.noise_variance)
 
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, StateSpace) and self._numbers == other._numbers
+
+    def __hash__(self) -> int:
+        return hash(self._numbers)
+
+    @property
+    def _numbers(self) -> tuple[object, ...]:
+        matrices = (self.transition, self.process_noise, self.initial)
+        return (*(matrix.tobytes() for matrix in matrices), self.noise_variance, self.colors)
+
     @property
     def observation(self) -> Array:
         """Row h that turns the state into the reading, shape (d,)."""
         row = np.zeros(self.transition.shape[0])
         row[[LOAD, *self.colors]] = 1.0
         return row
+
+
+@lru_cache(maxsize=16)  # a search for steps and the checks after it come back to the filters that they have had
+def _steady_forms(system: StateSpace) -> BlockForms:
+    return BlockForms.of(SteadyState.of(system.model, system.initial))
 
 
 def _reach(mode: Mode) -> float:
@@ -226,9 +243,9 @@ class KalmanFilter:
     @classmethod
     def of(cls, system: StateSpace, present: NDArray[np.bool_]) -> KalmanFilter:
         """Return the filter of a state space for these samples."""
-        steady = SteadyState.of(system.model, system.initial)
-        planner = Planner(steady, steady.initial)
-        return cls(system, present, planner, BlockForms.of(steady), planner.stretches(present))
+        forms = _steady_forms(system)
+        planner = Planner(forms.steady, forms.steady.initial)
+        return cls(system, present, planner, forms, planner.stretches(present))
 
     @property
     def settled(self) -> KalmanFilter:
