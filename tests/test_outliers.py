@@ -86,6 +86,65 @@ def test_few_steps_and_no_change_are_not_stuck(rng):
     assert not stuck_samples(np.zeros(1)).any()
 
 
+def test_what_rests_by_its_nature_is_not_stuck(rng):
+    rough = rng.normal(0, 1.0, 4000)
+    for values in (
+        np.round(0.18 * rough),  # a step of the converter is five times the noise
+        np.floor(np.arange(4000) / 40),  # an encoder that turns
+        np.repeat(rough[:40], 100),  # each reading of a slower converter held
+    ):
+        assert not stuck_samples(values).any()
+
+
+def test_an_angle_that_rests_is_not_stuck(rng):
+    pitch = np.where(TIME < 1.2, 0.0, 0.1)
+    channels = {"AF": Channel("AF", ringing(rng), "N"), "pitch": Channel("pitch", pitch, "rad")}
+    given = Recording.from_columns(TIME, channels, name="run")
+    clean, doubts = without_wild_samples(given, ["AF"])
+    assert clean is given
+    assert not doubts
+
+
+def test_a_spike_is_filled_from_sound_neighbours_alone(rng):
+    smooth = np.sin(2 * np.pi * 20 * TIME)
+    seen = smooth + rng.normal(0, 1e-3, TIME.size)
+    seen[1500:1530] = seen[1500]  # stuck, and no neighbour of what follows
+    seen[[1532, TIME.size - 4]] += 5.0  # the latter with three neighbours on its far side
+    channels = {
+        "AF": Channel("AF", ringing(rng), "N"),
+        "ground_acceleration": Channel("ground_acceleration", seen, "m/s^2"),
+    }
+    clean, _ = without_wild_samples(Recording.from_columns(TIME, channels, name="run"), ["AF"])
+    assert isinstance(clean, Recording)
+    filled = clean.channel("ground_acceleration").values
+    assert np.isnan(filled[1501:1530]).all()
+    # a straight line through the two and eight readings beside it: the curvature of the sine over 5 ms
+    assert filled[1532] == pytest.approx(smooth[1532], abs=0.5 * (2 * np.pi * 20 * 5e-3) ** 2)
+    assert filled[TIME.size - 4] == pytest.approx(smooth[TIME.size - 4], abs=0.02)
+
+
+@pytest.mark.parametrize("share", [0.6, 0.8])
+def test_a_clipped_accelerometer_is_named_and_costs_little(share, rng):
+    case, seed = CASES["0-100 Hz, 200 N, shaken"], seed_from(rng)
+    record = case.record(seed)
+    sound, _ = worked_out(record, case.known(seed), case.settings)
+    motion = record.columns["ground_acceleration"]
+    limit = share * np.abs(motion).max()
+    # it stays at the limit for two samples and more, so that this is seen
+    record.columns["ground_acceleration"] = np.clip(motion, -limit, limit)
+    force, _ = worked_out(record, case.known(seed), case.settings)
+    assert force is not None
+    assert sound is not None
+    found = scores(force.only.values, force.only.uncertainty, record.force)
+    best = scores(sound.only.values, sound.only.uncertainty, record.force)
+    kinds = {doubt.kind for doubt in force.doubts}
+    assert kinds & {"clipping", "wild samples"}
+    assert not kinds & {"ground gain", "ground delay"}
+    # the force is told by the load what the accelerometer missed: a gap of a few samples each
+    assert found["error"] < 1.5 * best["error"]
+    assert found["cover"] > 0.85
+
+
 def test_a_channel_that_was_stuck_nearly_all_the_time_is_refused(rng):
     values = ringing(rng)
     values[100:] = values[100]

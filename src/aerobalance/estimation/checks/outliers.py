@@ -1,7 +1,8 @@
 """Readings of a run that are not physical: outliers (wild samples), stuck and clipped ones.
 
-In the loads, wild and stuck samples are made missing (NaN). In the channels of the ground's motion, stuck samples are
-made missing, and wild ones are replaced by the value of a polynomial fitted to their neighbours.
+In the loads, wild and stuck samples are made missing (NaN); clipped ones are told of here and left out where the load
+is read. In the channels of the ground's motion, stuck and clipped samples are made missing, and wild ones are replaced
+by the value of a polynomial fitted to their neighbours. Angles may rest on a reading, so none of them is stuck.
 """
 
 from __future__ import annotations
@@ -32,6 +33,10 @@ BESIDE: Final = 8
 DEGREE: Final = 5
 """Degree of that polynomial."""
 
+FEWEST_A_SIDE: Final = 3
+"""Sound readings on either side for that degree. With fewer it is a straight line: beyond its readings a polynomial of
+degree five enlarges their noise a hundred times and more."""
+
 
 def without_wild_samples(
     given: Recording | Loads, components: Sequence[str]
@@ -59,7 +64,9 @@ def without_wild_samples(
         if not (is_load or is_of_ground(name)):
             continue
         limited = channel.at_limit
-        stuck = stuck_samples(channel.values) & ~limited
+        rests = channel.unit == "rad"
+        stuck = np.zeros(limited.size, dtype=np.bool_) if rests else stuck_samples(channel.values) & ~limited
+        unread = stuck | (limited & (not is_load and not rests))
         if is_load and np.mean(stuck) > DEAD:
             raise FitError(
                 f"{recording.name}: {_samples(stuck)} of {stuck.size} of {name} repeat the one before: the channel "
@@ -67,10 +74,12 @@ def without_wild_samples(
             )
         wild = wild_samples(np.where(limited | stuck, np.nan, channel.values))
         for component in [name] if is_load else present:
-            doubts += _doubts(recording, channel, component, wild=wild, stuck=stuck, limited=limited & is_load)
-        if wild.any() or stuck.any():
-            values = channel.values if is_load else _filled(channel.values, wild)
-            channels[name] = replace(channel, values=np.where(stuck | (wild & is_load), np.nan, values))
+            doubts += _doubts(recording, channel, component, wild=wild, stuck=stuck, limited=limited & (not rests))
+        if wild.any() or unread.any():
+            values = np.where(unread, np.nan, channel.values)
+            channels[name] = replace(
+                channel, values=np.where(wild, np.nan if is_load else _filled(values, wild), values)
+            )
     if not doubts:
         return given, ()
     clean = replace(recording, channels=channels)
@@ -86,16 +95,18 @@ def without_wild_samples(
 def _filled(values: Array, wild: NDArray[np.bool_]) -> Array:
     """Readings with wild ones replaced by a polynomial fitted to their neighbours, shape (n,).
 
-    A wild one with too few sound neighbours for the fit stays as it is.
+    A wild one without sound neighbours is missing.
     """
-    filled = values.copy()
-    sound = np.isfinite(values) & ~wild
+    filled = np.where(wild, np.nan, values)
+    sound = np.isfinite(filled)
     for place in np.flatnonzero(wild):
         first = max(int(place) - BESIDE, 0)
         near = np.asarray(np.flatnonzero(sound[first : int(place) + BESIDE + 1]) + first)
-        if near.size > DEGREE:
+        if near.size > 1:
+            sides = np.count_nonzero(near < place), np.count_nonzero(near > place)
+            degree = DEGREE if min(sides) >= FEWEST_A_SIDE else 1
             away = (near - place) / BESIDE
-            filled[place] = np.linalg.lstsq(np.vander(away, DEGREE + 1), values[near])[0][-1]
+            filled[place] = np.linalg.lstsq(np.vander(away, degree + 1), values[near])[0][-1]
     return filled
 
 
