@@ -8,6 +8,7 @@ import pytest
 from scipy.linalg import cho_factor, cho_solve, toeplitz
 from scipy.stats import multivariate_normal
 
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation import step_search
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.prior import (
@@ -23,7 +24,7 @@ from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.kalman import FORCE, KalmanFilter
 from aerobalance.estimation.statespace.shaping_filter import EDGE, ShapingFilter
 from aerobalance.estimation.step_search import StepSearch, find_steps
-from aerobalance.estimation.steps import Step, shape_of
+from aerobalance.estimation.steps import Step, response_to, shape_of, side_variance
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
@@ -316,6 +317,31 @@ def test_no_step_in_a_smooth_record(edge, rng):
 
 def test_no_step_in_noise(rng):
     assert find_steps(Observation(rng.normal(0, 2, 3000), 1 / RATE, T128))[0] == []
+
+
+@pytest.mark.parametrize("away", [0.0, 0.4, -1.1])
+def test_uncertainty_beside_a_step_is_that_of_the_side_that_is_given(away, rng):
+    step, count = Step(0.5, 0.0, instant_uncertainty=2e-4), 100_000
+    time = 0.5 + away * step.instant_uncertainty
+    instants = rng.normal(step.instant, step.instant_uncertainty, count)
+    squares = 7.0**2 * ((time >= instants) != (time >= step.instant))
+    (told,) = side_variance(step, np.array([time]), height=7.0, interval=1 / RATE)
+    assert told == pytest.approx(squares.mean(), abs=5 * squares.std() / np.sqrt(count))
+
+
+def test_response_of_an_overdamped_mode_is_followed_to_its_end():
+    mass, stiffness = 100.0, 4e6
+    slow = Dynamics("AF", mass, stiffness, damping=2 * 3.0 * np.sqrt(mass * stiffness))
+    reading = Observation(np.zeros(4000), 1 / RATE, slow)
+    response = response_to(Step(0.1, 0.0), reading)
+    time = np.arange(4000) / RATE - 0.1
+    assert response == pytest.approx(slow.step_response(time), abs=1e-12)
+
+
+def test_corrections_of_the_model_go_after_each_step():
+    larger = [Step(1.0, 0.0, 100.0), Step(5.0, 0.0, -100.0)]
+    small = [Step(place + late, 0.0, 1.0) for place in (1.0, 5.0) for late in (0.1, 0.2, 0.3)]
+    assert step_search._without_model_errors([*larger, *small], reach=1.0) == larger
 
 
 def test_shape_of_a_step():

@@ -96,7 +96,7 @@ class StepSearch:
     end: str = ""
 
     def run(self) -> Found:
-        """Search."""
+        """Return the steps in the order of their instants, and the prior of the force without them."""
         reading, steps, rounds = self.reading, list[Step](), 0
         columns = columns_of(steps, reading)
         learned = refine_edges(reading, fit_prior(reading, columns=columns), columns=columns)
@@ -107,6 +107,8 @@ class StepSearch:
             rounds += 1
             PROGRESS.note(f"{len(steps)} found so far" if steps else "")
             found = self._proposed(learned, steps, prior=learned)
+            if self.end:
+                break
             if found is None and returns:
                 found = self._returning(learned, steps)
             if found is None and steps and tested != steps and learned.spectrum.levels.any():
@@ -430,13 +432,13 @@ def _without_model_errors(steps: list[Step], *, reach: float) -> list[Step]:
 
     Otherwise the search would go on for as long as the response lasts.
     """
-    ordered = sorted(steps, key=lambda step: step.instant)
-    for step in sorted(ordered, key=lambda step: -abs(step.height)):
+    left = sorted(steps, key=lambda step: step.instant)
+    for step in sorted(left, key=lambda step: -abs(step.height)):
         echoes = [
             other
-            for other in ordered
+            for other in left
             if 0 < other.instant - step.instant < reach and abs(other.height) < SETTINGS.echo * abs(step.height)
         ]
         if len(echoes) > SETTINGS.echoes:
-            return [other for other in ordered if other not in echoes]
-    return ordered
+            left = [other for other in left if other not in echoes]
+    return left

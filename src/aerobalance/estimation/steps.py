@@ -32,7 +32,7 @@ class StepSettings:
     evidence
         Gain in twice the log-likelihood that a step must bring in a record of up to `instants` samples. Chance brings
         it at one of so many instants once in a million records: n times the tail of chi-square with one degree of
-        freedom. At 25 it was once in 600 (measured: 4 in 3600 records).
+        freedom. At 25 it would be once in 550 records (measured: 4 in 3600).
     instants
         Samples of a record up to which that is enough; every further instant is one more chance to be misled.
     ramp_evidence
@@ -170,7 +170,9 @@ def shape_at(step: Step, time: Array) -> Array:
 
 
 def side_variance(step: Step, time: Array, *, height: float, interval: float) -> Array:
-    """Return the variance of the force as a sample lies before or after a step by some chance, shape (n,) [N^2].
+    """Return the mean square error of the force, as a sample may lie on the other side of a step, shape (n,) [N^2].
+
+    The force there is that before the step or that after it, whichever is likelier, and not the mean of both.
 
     Parameters
     ----------
@@ -185,9 +187,8 @@ def side_variance(step: Step, time: Array, *, height: float, interval: float) ->
     """
     if step.duration > 0:
         return np.zeros(time.size)
-    after = ndtr((time - step.instant) / max(step.instant_uncertainty, 1e-12 * interval))
-    chance = after * (1 - after)
-    return np.asarray(height**2 * np.where(chance > NEVER, chance, 0.0))
+    other = ndtr(-np.abs(time - step.instant) / np.maximum(step.instant_uncertainty, 1e-12 * interval))
+    return np.asarray(height**2 * np.where(other < NEVER, 0.0, other))
 
 
 def columns_of(steps: Sequence[Step], reading: Observation) -> Array:
@@ -198,11 +199,11 @@ def columns_of(steps: Sequence[Step], reading: Observation) -> Array:
 
 
 def _ended(reading: Observation) -> float:
-    """Return the time after which nothing is left of a ringing [s]."""
+    """Return the time after which the ringing is below rounding, `NOTHING` decay times of the slowest mode [s]."""
     return ringing_time(reading) * NOTHING / SETTINGS.decay_times
 
 
 def ringing_time(reading: Observation) -> float:
-    """Return the time after which the response to a step has ended [s]."""
-    slowest = min(mode.damping_ratio * mode.angular_frequency for mode in reading.dynamics.modes)
+    """Return the time after which the ringing counts as over, `decay_times` of the slowest mode [s]."""
+    slowest = min(-max(pole.real for pole in mode.poles) for mode in reading.dynamics.modes)
     return SETTINGS.decay_times / max(slowest, 1e-300)

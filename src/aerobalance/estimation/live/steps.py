@@ -11,13 +11,12 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from scipy.special import ndtr
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.live import _live_kernels as kernels
 from aerobalance.estimation.live.filter import MOST_STEPS, KnownShape, LiveFilter
 from aerobalance.estimation.steps import SETTINGS as SEARCH
-from aerobalance.estimation.steps import Step
+from aerobalance.estimation.steps import Step, side_variance
 from aerobalance.recording.channel import Array
 
 SHIFT: Final = 0.05
@@ -83,13 +82,11 @@ class Following:
         return [one for one in self._followed if one.step.instant > oldest]
 
     def doubt(self, first: int, count: int) -> Array:
-        """Variance of the force at samples as it is not known on which side of a step they lie, shape (count,)."""
-        time = (first + np.arange(count)) * self._interval
+        """Mean square error of the force at samples that may lie on the other side of a step, (count,) [N^2]."""
+        time: Array = (first + np.arange(count, dtype=np.float64)) * self._interval
         variance = np.zeros(count)
         for step in (one.step for one in self._followed):
-            if step.duration <= 0:
-                after = ndtr((time - step.instant) / max(step.instant_uncertainty, 1e-12 * self._interval))
-                variance += step.height**2 * after * (1 - after)
+            variance += side_variance(step, time, height=step.height, interval=self._interval)
         return variance
 
     def follow(self, live: LiveFilter, step: Step) -> None:
@@ -138,6 +135,8 @@ class Following:
         for step in steps:
             known = any(abs(step.instant - other.step.instant) < near for other in self._followed)
             if step.instant > (live.oldest + 2) * self._interval and not known and not self.full:
+                # it may have been let go while the readings that show it are still kept
+                self._past = [other for other in self._past if abs(step.instant - other.instant) >= near]
                 self.follow(live, step)
 
     def let_go(self, live: LiveFilter) -> None:
