@@ -458,6 +458,31 @@ def test_nothing_is_said_to_move_by_too_few_readings(rng):
     assert test.moves.all()
 
 
+@pytest.mark.parametrize("lead", [5_000, 20_000])
+def test_readings_that_come_late_have_their_force_at_their_own_samples(lead, rng):
+    """A cable that is plugged in after the start: longer before than the readings that are kept to learn from."""
+    time = np.arange(3000) / RATE
+    load = np.concatenate([np.full(lead, np.nan), 50 * T128.step_response(time - 1.0001) + rng.normal(0, 0.5, 3000)])
+    settings = LiveSettings(samples_a_period=np.inf, learned_from=2_000)
+    forces = []
+    for chunk in (100, load.size):
+        live = LiveForce(T128, rate=RATE, settings=settings)
+        parts = [live.push(load[at : at + chunk]) for at in range(0, load.size, chunk)]
+        parts.append(live.finish())
+        force = np.concatenate([part["AF"].force for part in parts])
+        assert force.size == load.size
+        assert [part["AF"].first for part in parts] == np.cumsum([0, *(part["AF"].force.size for part in parts)])[
+            :-1
+        ].tolist()
+        forces.append(force)
+    assert np.allclose(*forces, rtol=0, atol=1e-6, equal_nan=True)
+    assert np.isnan(forces[0][: lead - 2_000]).all()
+    known = forces[0][lead:]
+    # beside the step and past the start six deviations of the noise: the force of a wide band is noisier than that
+    assert np.abs(known[1200:1590]).max() < 5.0
+    assert np.abs(known[1700:2900] - 50).max() < 5.0
+
+
 def test_a_stream_that_ends_before_its_first_reading_has_no_force():
     live = LiveForce(dynamics_of(T128), rate=RATE)
     live.restart()  # there is nothing to begin anew

@@ -76,14 +76,15 @@ class StreamState:
         What was learned, where it is `process`.
     filter
         The filter; None before there are readings enough to begin.
-    begin
-        The readings that it began with.
+    start, begin
+        Number of the first reading that it began with, before which there is no force, and these readings.
     learn_from, learn_at
         First reading to learn from, and sample at which to; None for no more.
     due
         Whether it is time to learn, which is done elsewhere.
-    wide_from, widen_at
-        Sample before which the wide band is not fallen back on again, and at which its strength is judged anew.
+    wide_from, wide_since, widen_at
+        Sample before which the wide band is not fallen back on again, since which the force is taken for one, and at
+        which its strength is judged anew.
     placed_at
         Sample at which strange residuals last had the steps placed again.
     """
@@ -93,10 +94,12 @@ class StreamState:
     learn_at: int | None
     widen_at: int
     filter: LiveFilter | None = None
+    start: int = 0
     begin: Array = field(default_factory=lambda: np.zeros(0))
     learn_from: int = 0
     due: bool = False
     wide_from: int = 0
+    wide_since: int = 0
     placed_at: int = 0
 
 
@@ -149,18 +152,21 @@ class ComponentSmoother:
         readings
             Readings of the channel, shape (m,), any number of them [N, N*m]; NaN where missing.
         last
-            Whether these are the last: then all samples become final.
+            Whether these are the last: then all samples become final, without a force where there were never readings
+            enough to begin.
         """
-        state, lag = self.state, self.settings.lag
+        state = self.state
         self._recent.append(readings)
         parts: list[tuple[Array, Array]] = []
         if state.filter is None:
-            readings = self._recent.between(0, self._recent.stop)
-            enough = _reached(readings, lag // 2) or (last and _reached(readings, FEWEST) and readings.size)
+            given = state.start
+            readings, enough = self._beginning(last=last)
+            nothing = np.full(state.start - given, np.nan)
+            parts.append((nothing, nothing))
             if not enough:
                 return self._final(parts)
             state.begin = readings[:enough]
-            state.filter = self._made(state.begin, first=0)
+            state.filter = self._made(state.begin, first=state.start)
         while readings.size and state.filter is not None:
             count = min(state.filter.room(), readings.size)
             state.filter.feed(readings[:count])
@@ -172,16 +178,40 @@ class ComponentSmoother:
             self._collect(state.filter, parts)
         return self._final(parts)
 
+    def _beginning(self, *, last: bool) -> tuple[Array, int]:
+        """The readings from the one that the filter begins with on, and how many it begins with; 0 for too few yet.
+
+        It begins where enough of the last `learned_from` readings are present. What is older has no force, and neither
+        has anything if the stream ends before.
+        """
+        state, recent, wanted, settings = self.state, self._recent, self.settings.lag // 2, self.settings
+        readings = recent.between(state.start, recent.stop)
+        present = np.cumsum(np.isfinite(readings))
+        here = present - np.concatenate([np.zeros(settings.learned_from, np.int64), present])[: present.size]
+        reached = np.flatnonzero(here >= wanted)
+        stop = int(reached[0]) + 1 if reached.size else 0
+        if not stop and last:
+            stop = readings.size if _reached(readings, FEWEST) else 0
+        skipped = max((stop or readings.size) - settings.learned_from, 0)
+        if last and not stop:
+            skipped = readings.size
+        state.start += skipped
+        if skipped:
+            state.learn_from = state.wide_since = state.start
+            state.widen_at = state.start + settings.settling
+            state.learn_at = state.start + settings.first_learning if state.learning is None else None
+        return readings[skipped:], max(stop - skipped, 0)
+
     def _final(self, parts: list[tuple[Array, Array]]) -> FinalSamples:
         force, variance = (np.concatenate([np.zeros(0), *(part[which] for part in parts)]) for which in (0, 1))
-        end = 0 if self.state.filter is None else self.state.filter.next_final
+        end = self.state.start if self.state.filter is None else self.state.filter.next_final
         return FinalSamples(end - force.size, force, variance)
 
     def _advance(self, live: LiveFilter, parts: list[tuple[Array, Array]]) -> None:
         """Take readings up to the next mark, and do what there is to do."""
         state, lag = self.state, self.settings.lag
         # from the first readings the noise is not known well enough to tell what is strange
-        watch = state.learning is not None or live.taken >= self.settings.settling
+        watch = state.learning is not None or live.taken >= state.start + self.settings.settling
         happened = live.run(self._next_mark(live), watch=watch)
         self._collect(live, parts)
         if happened == kernels.STEP:
@@ -197,7 +227,7 @@ class ComponentSmoother:
         if state.filter is live and live.taken % STRETCH == 0:
             self._draw_up(live)
         if state.filter is live and state.learning is None and live.taken == state.widen_at:
-            state.widen_at *= 4
+            state.widen_at = state.wide_since + 4 * (state.widen_at - state.wide_since)
             self._change_process(live)
         if state.filter is not None and state.learn_at is not None and state.filter.taken >= state.learn_at:
             self._time_to_learn(state.filter.taken)
@@ -270,7 +300,7 @@ class ComponentSmoother:
 
     def _change_process(self, live: LiveFilter) -> None:
         """Run the last readings through the filter of the process at hand, and go on with it."""
-        start = max(0, live.taken - HISTORY * self.settings.lag)
+        start = max(live.oldest, live.taken - HISTORY * self.settings.lag)
         values = live.readings(start, live.filled)
         fresh = self._made(values[: live.taken - start], first=start)
         fresh.feed(values)
@@ -298,11 +328,12 @@ class ComponentSmoother:
         if live.taken < state.wide_from:
             live.look_again(after=live.taken)
             return
+        state.wide_since = live.taken
         state.wide_from = state.widen_at = live.taken + 2 * lag
         self._steps.take_back(without)
         if state.learning is not None:
             state.learning, state.process, state.due = None, "fallback", False
-            state.learn_from = max(live.taken - lag, 0)
+            state.learn_from = max(live.taken - lag, state.start)
             state.learn_at = live.taken + self.settings.first_learning
         self._change_process(live)
 

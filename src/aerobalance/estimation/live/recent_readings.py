@@ -44,5 +44,13 @@ class RecentReadings:
         self._stop += values.size
 
     def between(self, first: int, stop: int) -> Array:
-        """Readings from a number up to another."""
+        """Return the readings from a number up to another, shape (stop - first,).
+
+        Raises
+        ------
+        ValueError
+            The first is no longer kept.
+        """
+        if first < self._first:
+            raise ValueError(f"reading {first} is no longer kept; the oldest is {self._first}")
         return self._values[first - self._first : stop - self._first].copy()
