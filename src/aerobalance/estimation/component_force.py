@@ -418,7 +418,8 @@ def _unexplained(record: ComponentRecord, fit: SmootherResult, white: Array) -> 
     worst = int(strange[np.argmax(level[strange])])
     start, stop = (record.recording.start + float(edge) * record.interval for edge in edges[worst : worst + 2])
     name, unit = record.dynamics.component, si_unit(record.dynamics.component)
-    size = float(np.sqrt(np.mean(missed**2)))
+    there = missed[in_blocks > 1]
+    size = float(np.sqrt(np.mean(there**2)))
     shown = f"the force that the readings show beyond it, {size:.3g} {unit} rms, is" if size else "that of noise is"
     text = (
         f"in {strange.size} of {level.size} stretches the readings of {name} "

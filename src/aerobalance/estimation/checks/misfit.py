@@ -41,10 +41,8 @@ class MisfitSettings:
     ----------
     drift
         Standard uncertainties that frequency or damping has to be off before it is said to have changed.
-    same_mode
-        Relative difference of frequency up to which a mode in the record is one of the dynamics'.
     longest
-        Samples from the start that are looked at: more tell nothing new.
+        Samples from the start that are looked at, so that the check of a long record takes no longer.
     changed
         Gain in twice the log-likelihood that another frequency and damping must bring: chance has it once in 3
         million. The curvature at the optimum alone says too much of a resonance that the load hardly excites.
@@ -54,8 +52,6 @@ class MisfitSettings:
         Uncertainty of a missing mode's share over it, up to which the error that it makes can be told.
     least_noise
         Least noise of a reading where evidence is compared, over the noise that was learned.
-    least_signal
-        The same over the standard deviation of the readings: what swings less is not looked at.
     beyond
         Factor that puts a natural frequency beyond all that is recorded.
     peaked, beside
@@ -69,13 +65,11 @@ class MisfitSettings:
     """
 
     drift: float = 5.0
-    same_mode: float = 0.02
     longest: int = 1 << 17
     changed: float = 30.0
     least_damping: float = 0.05
     told: float = 0.5
     least_noise: float = 1e-3
-    least_signal: float = 1e-3
     beyond: float = 1e3
     peaked: float = 3.0
     beside: float = 0.1
@@ -226,7 +220,7 @@ def misfit_of(
         _without_tones(reading.values),
         dynamics,
         interval=reading.interval,
-        least_noise=max(reading.least_noise, 1e-3 * noise),
+        least_noise=max(reading.least_noise, SETTINGS.least_noise * noise),
         learned=learned,
         steps=within,
         beside_steps=beside_steps,
@@ -273,7 +267,7 @@ def _spoken(spoken: Spoken, dynamics: Dynamics) -> Misfit:
     frequency = other.natural_frequency / dynamics.natural_frequency - 1, spoken.u
     if spoken.kind == "damping ratio":
         return Misfit(dynamics.component, damping=(ratio, np.nan))
-    return Misfit(dynamics.component, frequency=frequency, damping=(ratio, np.nan))
+    return Misfit(dynamics.component, frequency=frequency, damping=(ratio, np.nan) if ratio else None)
 
 
 def _looks_alike(mode: Mode, learned: SpectralPrior, interval: float) -> bool:
@@ -310,7 +304,10 @@ def peaks_of(record: ComponentRecord, *, noise: float, steps: Sequence[Step], hu
 def unbroken(
     record: ComponentRecord, steps: Sequence[Step], hum: Sequence[Line]
 ) -> tuple[Observation, list[Step]] | None:
-    """The longest stretch of a reading without a gap, hum taken out, and the steps within; None where it is still."""
+    """The longest stretch of a reading without a gap, hum taken out, and the steps within.
+
+    None where it has fewer than `FEWEST_SAMPLES` or does not change.
+    """
     reading = record.reading()
     lines = reading_of_lines(tuple(hum), count=reading.values.size, interval=reading.interval) if hum else 0.0
     told = reading.present & ~record.hides_motion  # what is hidden and not found swings as well

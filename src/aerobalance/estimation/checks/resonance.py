@@ -317,6 +317,11 @@ def _named(spoken: Spoken, evidence: Evidence, dynamics: Dynamics, *, confirmed:
         moved = abs(other.natural_frequency / dynamics.natural_frequency - 1)
         width = max(dynamics.damping_ratio, other.damping_ratio)
         kind = "natural frequency" if moved > 0.5 * width else "damping ratio"
+        if kind == "natural frequency":  # another damping ratio as well only where it is worth what that costs
+            same = dynamics.retuned(frequency=other.natural_frequency / dynamics.natural_frequency, damping=1.0)
+            if evidence.of(other) - evidence.of(same) < _price("damping ratio", evidence):
+                other = same
+                spoken = spoken._replace(dynamics=same)
         if _is_line(other.modes[0], evidence, width=SETTINGS.line):
             return None
         like_a_load = other.damping_ratio > SETTINGS.broad and confirmed > -SETTINGS.decisive
