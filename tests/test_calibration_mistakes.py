@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from collections.abc import Callable
 from dataclasses import replace
@@ -106,6 +107,20 @@ def test_one_mistake_is_named_by_its_point_and_kind(make, model: str, change: Ch
                 abs(item.load_read - schedule.loads[point, item.component])
                 < 0.02 * moved + 0.01 * (schedule.capacities[item.component])
             )
+
+
+@both
+def test_a_wrong_bridge_is_named_by_every_line_of_its_point(make, rng) -> None:
+    schedule = make(rng)
+    point, index = a_load(schedule, rng)
+    other = (index + 1) % len(schedule.components)
+    outputs = schedule.outputs.copy()
+    outputs[point, index] += 1.0
+    outputs[point, other] += 4e-3  # beyond chance and 2.5 uV/V, and nothing beside the wrong one's interactions
+    _, said = outliers_of(replace(schedule, outputs=outputs), "auto")
+    assert repr(schedule.label(point)) in said, said
+    named = set(re.findall(r"the reading of r(\w+) is wrong", said))
+    assert named <= {schedule.gauges[index]}, said
 
 
 @both

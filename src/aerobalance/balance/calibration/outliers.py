@@ -30,6 +30,10 @@ class OutlierSettings:
     alone
         Change of the other loads, over that of one load, up to which that load alone is wrong: interactions that are
         not linear make about a hundredth of it.
+    none
+        Load over the one that is read, up to which the schedule has none.
+    powers
+        Powers of ten by which a decimal point may be wrong.
     exact
         Relative difference up to which a load is what a mistake makes of another.
     seen
@@ -40,6 +44,8 @@ class OutlierSettings:
     residual: float = 2.5e-3
     most_deviations: float = 100.0
     alone: float = 0.05
+    none: float = 1e-4
+    powers: int = 3
     exact: float = 0.05
     seen: float = 6.0
 
@@ -138,8 +144,9 @@ def find_outliers(
         for row in np.flatnonzero(_far(fit, scale[index])):
             point = int(points[row])
             read = schedule.loads[point] + more[row] * schedule.capacities
-            if iterative and _one_bridge(linear, departures[row], deviation):
-                cause = f"the reading of r{schedule.gauges[index]} is wrong, as the other bridges show nothing of it"
+            bridge = _one_bridge(linear, departures[row], deviation) if iterative else None
+            if bridge is not None:
+                cause = f"the reading of r{schedule.gauges[bridge]} is wrong, as the other bridges show nothing of it"
             else:
                 cause = _cause(schedule, point, index, read)
             found.append(
@@ -157,16 +164,16 @@ def find_outliers(
     return _exchanged(schedule, tuple(sorted(found, key=lambda item: -abs(item.studentised))))
 
 
-def _one_bridge(linear: Array, departure: Array, deviation: Array) -> bool:
-    """Whether one bridge alone departs, where a wrong load would have shown in others by its interactions."""
+def _one_bridge(linear: Array, departure: Array, deviation: Array) -> int | None:
+    """The bridge that departs alone, where a wrong load would have shown in others by its interactions; else None."""
     own = int(np.argmax(np.abs(departure)))
     if linear[own, own] == 0:
-        return False
+        return None
     expected = np.abs(linear[:, own] * departure[own] / linear[own, own])
     others = np.arange(departure.size) != own
     least = SETTINGS.seen * deviation
     nothing = np.abs(departure) < np.maximum(expected / 2, least)
-    return bool(np.any(others & (expected > least)) and np.all(nothing[others]))
+    return own if np.any(others & (expected > least)) and np.all(nothing[others]) else None
 
 
 def _cause(schedule: Schedule, point: int, index: int, read: Array) -> str:
@@ -182,7 +189,7 @@ def _cause(schedule: Schedule, point: int, index: int, read: Array) -> str:
         crossed[[worst, second]] = read[[second, worst]]
         exchanged = np.all(np.abs(crossed - loads) / capacities < SETTINGS.exact * change[worst])
         return f"the loads of {name} and {schedule.components[second]} are exchanged" if exchanged else ""
-    if loads[worst] == 0.0:
+    if abs(loads[worst]) < SETTINGS.none * abs(read[worst]):
         return f"a load of {name} was on the balance that the schedule does not have"
     return _factor(float(read[worst] / loads[worst]), name) or ("" if worst == index else f"the load of {name}")
 
@@ -194,29 +201,30 @@ def _factor(ratio: float, name: str) -> str:
     if abs(ratio) < SETTINGS.exact:
         return f"the load of {name} was not on the balance"
     power = round(np.log10(abs(ratio)))
-    if power and abs(abs(ratio) / 10.0**power - 1) < SETTINGS.exact:
+    if 0 < abs(power) <= SETTINGS.powers and abs(abs(ratio) / 10.0**power - 1) < SETTINGS.exact:
         return f"the decimal point of {name}" + (" and its sign" if ratio < 0 else "")
     return ""
 
 
 def _exchanged(schedule: Schedule, found: tuple[Outlier, ...]) -> tuple[Outlier, ...]:
     """Say of outliers of one component, each with the load that the other reads, that their lines are exchanged."""
-    result = []
-    for item in found:
+    partner: dict[int, Outlier] = {}  # by place in the list, each in one pair
+    for place, item in enumerate(found):
         near = SETTINGS.exact * abs(item.load_read - item.load)
-        other = next(
-            (
-                one
-                for one in found
-                if one.component == item.component
+        for later in range(place + 1, len(found)):
+            one = found[later]
+            if (
+                not {place, later} & partner.keys()
+                and one.component == item.component
                 and one.point != item.point
                 and abs(one.load - item.load_read) < near
                 and abs(one.load_read - item.load) < near
-            ),
-            None,
-        )
-        result.append(item if other is None else replace(item, cause=f"exchanged with {other.label!r}"))
-    return tuple(result)
+            ):
+                partner[place], partner[later] = one, item
+    return tuple(
+        replace(item, cause=f"exchanged with {partner[place].label!r}") if place in partner else item
+        for place, item in enumerate(found)
+    )
 
 
 def outlier_text(schedule: Schedule, item: Outlier) -> str:
