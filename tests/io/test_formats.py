@@ -271,6 +271,8 @@ UNREADABLE = {
     "cdf5.nc": ("byte 4", "64-bit data format"),
     "cut.parquet": ("its last 8 bytes", "was not finished, or is cut off"),
     "compressed.wav": ("byte 12, the format", r"is compressed \(code 85\)"),
+    "cut.wav": ("byte 36", "is cut off: 600 bytes of samples are stated, and 300 are there"),
+    "narrow.wav": ("byte 12, the format", "frames of 2 bytes for 1 channels of 8 bits"),
     "cells.mat": ("channel", "it is a cell array"),
 }
 
@@ -294,6 +296,12 @@ def test_what_cannot_be_read_is_told_exactly(tmp_path, name) -> None:
     elif name == "cut.parquet":
         next(given for given in FILES if given.name == "columns.parquet").make(path)
         path.write_bytes(path.read_bytes()[:-20])
+    elif name in {"cut.wav", "narrow.wav"}:  # samples of three bytes, and of one in two
+        width, bits = (3, 24) if name == "cut.wav" else (2, 8)
+        form = np.array([1, 1], "<u2").tobytes() + np.array([10, 10 * width], "<u4").tobytes()
+        form += np.array([width, bits], "<u2").tobytes()
+        body = b"WAVEfmt " + np.array([16], "<u4").tobytes() + form + b"data" + np.array([600], "<u4").tobytes()
+        path.write_bytes(b"RIFF" + np.array([len(body) + 600], "<u4").tobytes() + body + bytes(300))
     elif name == "compressed.wav":
         body = b"WAVEfmt " + np.array([16], "<u4").tobytes() + np.array([85, 1], "<u2").tobytes() + bytes(12)
         path.write_bytes(b"RIFF" + np.array([len(body)], "<u4").tobytes() + body)

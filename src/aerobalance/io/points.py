@@ -91,9 +91,9 @@ def _check_alike(files: Sequence[Path], parts: Sequence[LoadPoints]) -> None:
 def _points(path: Path, names: Names | None, channel_map: ChannelMap | None) -> LoadPoints:
     if channel_map is not None or _is_recording(path):
         recording = read(path, channel_map=channel_map)
-        return points_from_recordings([recording], names or _loads_of(path, recording.channels))
+        return points_from_recordings([recording], _loads_of(path, recording.channels) if names is None else names)
     table = read_table(path, required=("pitch", *(names or ())))
-    return _from_table(table, names or _loads_of(path, table.columns))
+    return _from_table(table, _loads_of(path, table.columns) if names is None else names)
 
 
 def _loads_of(path: Path, there: Iterable[str]) -> Names:

@@ -1,4 +1,4 @@
-"""WAV: channels by number, in shares of full scale; no unit, no names."""
+"""WAV: channels by number, in fractions of full scale; no unit, no names."""
 
 from __future__ import annotations
 
@@ -20,6 +20,8 @@ NAME: Final = "WAV"
 
 _MOST_CHANNELS: Final = 1024
 _WIDTHS: Final = (1, 2, 3, 4, 8)
+_SIZE_ELSEWHERE: Final = 0xFFFFFFFF
+"""Size of a chunk whose real size stands in a chunk of its own (RF64), or was not known when it was begun."""
 
 
 def can_read(head: bytes, path: Path) -> bool:
@@ -32,7 +34,8 @@ def can_read(head: bytes, path: Path) -> bool:
 def opened(path: Path) -> Iterator[Holdings]:
     """Open a file to read its channels as series ``channel 1`` and so on.
 
-    Whole numbers become shares of full scale, as in any audio program: -1 to 1. Numbers with a decimal point stay.
+    Whole numbers become fractions of full scale, as in any audio program: -1 to 1. Floating-point samples stay
+    as they are.
 
     Raises
     ------
@@ -69,6 +72,10 @@ def _checked(path: Path) -> int:
             if name == b"data":
                 if found is None:
                     raise ReadError(path, f"byte {place}", "has samples before their format: it is damaged")
+                there = size - place - 8
+                if count > there and count != _SIZE_ELSEWHERE:
+                    what = f"is cut off: {count} bytes of samples are stated, and {there} are there"
+                    raise ReadError(path, f"byte {place}", what)
                 return found[0]
             file.seek(place + 8 + count + count % 2)
     raise ReadError(path, "", "has no chunk of samples ('data'): it is cut off or damaged")
@@ -85,13 +92,13 @@ def _format(path: Path, place: int, file: BinaryIO, order: str, count: int) -> t
     if not 0 < channels <= _MOST_CHANNELS or not rate:
         raise ReadError(path, where, f"states {channels} channels at {rate} Hz: it is damaged")
     width = frame // channels
-    if width not in _WIDTHS or frame % channels or not 0 < bits <= 8 * width:
+    if width not in _WIDTHS or frame % channels or not 8 * (width > 1) < bits <= 8 * width:
         raise ReadError(path, where, f"states frames of {frame} bytes for {channels} channels of {bits} bits")
     return (width,)
 
 
 def _reader(data: Any, column: int) -> Any:
-    """Read a part of a channel, in shares of full scale."""
+    """Read a part of a channel, in fractions of full scale."""
     kind, width = data.dtype.kind, 8 * data.dtype.itemsize
 
     def read(begin: int, end: int) -> Any:

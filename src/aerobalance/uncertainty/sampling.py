@@ -1,6 +1,7 @@
 """Draws of what is not known exactly: normal numbers of a given covariance, and dynamics with such parameters.
 
-The draws are sets that have exactly the mean and covariance they stand for, so that few of them suffice.
+A set of draws has exactly the mean and covariance that it stands for, if it has more than one draw beyond the numbers:
+means and standard deviations of what follows linearly then need few draws. Quantiles do not gain by it.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from aerobalance.recording.linalg import covariance_root
 
 
 def drawn_numbers(generator: np.random.Generator, covariance: Array, draws: int) -> Array:
-    """Draws of normal numbers, shape (draws, p), whose mean is zero and whose covariance is exactly that given."""
+    """Return draws of normal numbers of mean zero and this covariance, shape (draws, p); exact as above."""
     root = covariance_root(covariance)
     return np.asarray(standard_normals(generator, root.shape[1], draws) @ root.T)
 
