@@ -12,6 +12,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -32,6 +33,7 @@ from aerobalance.app.campaign.campaign import Campaign, Prepared, planned, prepa
 from aerobalance.app.campaign.definition import definition_from
 from aerobalance.app.campaign.engine import Engine
 from aerobalance.app.campaign.places import fingerprint
+from aerobalance.app.campaign.reduction import RunSettings
 from aerobalance.app.campaign.results import Results
 from aerobalance.app.campaign.watching import Watch
 from aerobalance.app.cli.program import main
@@ -415,3 +417,11 @@ def test_the_public_name(files):
     assert (found.done, len(found.rows)) == ((), 3)
     assert (files.out / "summary.html").is_file()
     assert found.history("run_1")["AF"].sizes == {"time": 800}
+
+
+def test_a_run_that_can_no_longer_be_assigned_is_worked_on_again(tmp_path):
+    one = work.RunWork(
+        Run("a", 1, "a.csv", dynamics="d.json"), RunSettings(), str(tmp_path), {"a.csv": "1", "d.json": "2"}
+    )
+    other = replace(one, run=replace(one.run, fault="there is no zero that agrees in polar"))
+    assert one.key != other.key

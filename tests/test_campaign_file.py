@@ -8,7 +8,7 @@ import pytest
 
 from aerobalance.app.campaign.assignment import assigned, definition_of_folder
 from aerobalance.app.campaign.definition import definition_from, load_definition
-from aerobalance.app.campaign.run_table import read_rows
+from aerobalance.app.campaign.run_table import cell, read_rows
 from aerobalance.recording.errors import ReadError
 
 SETUP = [{"dynamics": "dynamics.json"}]
@@ -154,7 +154,7 @@ def test_what_names_nothing_is_refused(tmp_path):
     with pytest.raises(ReadError, match="a column cannot be called status"):
         runs_of(tmp_path, runs={"rows": [{"file": "a.h5", "status": 1}]})
     assert [one.name for one in runs_of(tmp_path, runs={"files": ["b/a.h5", "c/a.h5"]})] == ["b_a.h5", "c_a.h5"]
-    with pytest.raises(ReadError, match="the same name"):
+    with pytest.raises(ReadError, match="would both be called"):
         runs_of(tmp_path, runs={"files": ["x/b/a.h5", "y/b/a.h5"]})
 
 
@@ -164,3 +164,28 @@ def test_a_folder_is_all_of_its_recordings(tmp_path):
     assert [one.name for one in assigned(definition, str(tmp_path))] == ["a", "b"]
     with pytest.raises(ReadError, match="holds no recordings"):
         definition_of_folder(str(touched(tmp_path / "empty", "notes.md")), "dynamics.json")
+
+
+def test_runs_whose_names_become_alike_are_told_apart_or_refused(tmp_path):
+    for name in ("a/run 1.csv", "b/run_1.csv"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).touch()
+    files = ["a/run 1.csv", "b/run_1.csv"]
+    assert [one.name for one in runs_of(tmp_path, runs={"files": files})] == ["a_run_1.csv", "b_run_1.csv"]
+    (tmp_path / "a/run_1.csv").touch()
+    with pytest.raises(ReadError, match=r"would both be called a_run_1\.csv"):
+        runs_of(tmp_path, runs={"files": [*files, "a/run_1.csv"]})
+
+
+@pytest.mark.parametrize(
+    ("text", "value"), [("12_3", "12_3"), ("nan", "nan"), ("-1.5e3", -1500.0), ("007", 7), (".5", 0.5)]
+)
+def test_a_number_in_a_table_is_what_an_engineer_writes(text, value):
+    assert cell(text) == value
+
+
+def test_a_unit_that_is_not_known_stays_in_the_name_of_its_column(tmp_path):
+    table = tmp_path / "runs.csv"
+    table.write_text("file,pdyn [kN/m^2],p [kPa]\na.csv,2.0,3.0\n")
+    ((_, cells),) = read_rows(str(table))
+    assert cells == {"file": "a.csv", "pdyn [kN/m^2]": 2.0, "p": 3000.0}

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from aerobalance.app.campaign.definition import Axes, Placed
+from aerobalance.app.campaign.reduction import RunSettings, flow_of, frames_of
 from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force import estimate_force
@@ -104,3 +106,14 @@ def test_means_that_an_angle_is_wrong_for_are_wrong_together(rng):
     slopes = STANDARD_GRAVITY * np.array([3.0 * np.cos(pitch), 5.0 * np.sin(pitch)])
     # the masses, uncertain by 1e-3 and 4e-4 of the weight, are wrong each for itself
     assert abs(found.errors.common[0, 1]) == pytest.approx(u**2 * slopes[0] * slopes[1], rel=1e-6)
+
+
+def test_a_body_that_is_turned_in_its_balance_has_its_own_angles():
+    pitch, pull = np.radians(10.0), 100.0
+    balance = ResolvedLoads.of([[pull * np.sin(pitch), 0, 0, 0, 0, pull * np.cos(pitch)]])  # drag alone
+    for axes in (Axes(body=Placed(pitch=2.0)), Axes(body=Placed(roll=90.0)), Axes(body=Placed(yaw=-3.0, pitch=1.0))):
+        settings = RunSettings(axes=axes)
+        flow = flow_of({}, {"pitch": pitch}, settings)
+        body = frames_of(axes)[0].loads(balance)
+        found = wind_loads(body, angle_of_attack=flow.alpha, sideslip=flow.beta).values[0, [0, 2, 5]]
+        np.testing.assert_allclose(found, [0.0, 0.0, pull], atol=1e-9)  # no lift, no side force

@@ -202,15 +202,18 @@ class Frame:
         return np.stack(slopes, axis=2)
 
 
-def angles_of_attitude(pitch: float, roll: float) -> tuple[float, float]:
-    """Return angle of attack and sideslip of a body that is pitched up and then rolled, in a level wind [rad].
+def angles_of_attitude(pitch: float, roll: float, body: Frame | None = None) -> tuple[float, float]:
+    """Return angle of attack and sideslip of a body whose balance is pitched up, then rolled, in a level wind [rad].
 
     Parameters
     ----------
     pitch, roll
-        Attitude of the body, whose nose points into the wind but for these [rad].
+        Attitude of the balance, whose nose points into the wind but for these [rad].
+    body
+        The body in the balance; None for one with the axes of the balance.
     """
-    aft, right, up = rotation(pitch, roll, 0.0)[0] @ np.array([1.0, 0.0, 0.0])
+    turned = rotation(pitch, roll, 0.0)[0]
+    aft, right, up = (turned if body is None else body.rotation @ turned) @ np.array([1.0, 0.0, 0.0])
     return float(np.arctan2(up, aft)), float(-np.arcsin(np.clip(right, -1.0, 1.0)))
 
 

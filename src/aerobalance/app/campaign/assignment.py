@@ -326,12 +326,15 @@ def _in_order(marked: Iterable[Marked]) -> list[Marked]:
 
 def _names(files: Sequence[str]) -> list[str]:
     """What runs are called: the names of their files without the ending, with the folder where two are alike."""
-    stems = [Path(name_of(file)).stem for file in files]
-    if len({stem.lower() for stem in stems}) == len(stems):
-        return [_plain(stem) for stem in stems]
+    short = [_plain(Path(name_of(file)).stem) for file in files]
+    if len({name.lower() for name in short}) == len(short):
+        return short
     long = [_plain("_".join([*Path(file.partition("://")[2] or file).parts[-2:]])) for file in files]
-    if len(set(long)) < len(long):
-        raise ReadError(files[0], "", "two runs have the same name and folder name; give them other names")
+    first: dict[str, str] = {}
+    for name, file in zip(long, files, strict=True):
+        other = first.setdefault(name.lower(), file)
+        if other != file:
+            raise ReadError(file, "", f"its run and that of {other} would both be called {name}; give it another name")
     return long
 
 

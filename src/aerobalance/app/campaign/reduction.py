@@ -203,14 +203,17 @@ def sizes_of(reference: Reference | None) -> ReferenceSizes | None:
 
 
 def flow_of(columns: Mapping[str, object], means: Mapping[str, float], settings: RunSettings) -> Flow:
-    """Angles and dynamic pressure of a run, from its columns or from the means of its channels.
+    """Angles of the body and dynamic pressure of a run, from its columns or from the means of its channels.
+
+    The channels have the attitude of the balance; the body's is that and its place in the balance.
 
     Raises
     ------
     ValueError
         A column or channel that is named is not there, or is no number.
     """
-    alpha, beta = angles_of_attitude(means.get("pitch", 0.0), means.get("roll", 0.0))
+    body = frames_of(settings.axes)[0]
+    alpha, beta = angles_of_attitude(means.get("pitch", 0.0), means.get("roll", 0.0), body)
     found = {"alpha": alpha, "beta": beta}
     told = "pitch" in means
     for name, wanted in (("alpha", settings.alpha), ("beta", settings.beta)):

@@ -29,6 +29,7 @@ DEGREES: Final = {"deg": 1.0, "°": 1.0, "rad": 57.29577951308232}
 KNOWN: Final = {"q": PRESSURES, "alpha": DEGREES, "beta": DEGREES}
 """Columns that are known to be a pressure or an angle, and have no other unit."""
 
+_NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?")
 _UNIT: Final = re.compile(r"^(.*?)\s*[\[(]\s*([^\])]*)\s*[\])]\s*$")
 
 
@@ -95,7 +96,7 @@ def _heading(table: str, text: str) -> tuple[str, float]:
     if unit not in (allowed or factors):
         if allowed is not None:
             raise ReadError(table, "line 1", f"{name} has unit [{unit}]; allowed: {', '.join(allowed)}")
-        return name, 1.0
+        return text.strip(), 1.0  # with its unit in its name: nobody takes it for another unit
     return name, factors[unit]
 
 
@@ -106,7 +107,7 @@ def _scaled(given: Cell, factor: float) -> Cell:
 def cell(text: str) -> Cell:
     """Return the number that a text is, or else the text."""
     stripped = text.strip()
-    try:
-        return int(stripped) if re.fullmatch(r"[+-]?\d{1,15}", stripped) else float(stripped)
-    except ValueError:
-        return stripped
+    if re.fullmatch(r"[+-]?\d{1,15}", stripped):
+        return int(stripped)
+    # not whatever Python takes for a number: 12_3 is a name, and so is nan
+    return float(stripped) if _NUMBER.fullmatch(stripped) else stripped

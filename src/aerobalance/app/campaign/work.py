@@ -90,6 +90,7 @@ class RunWork:
             "names": [Path(one).name for one in run.inputs],
             "columns": dict(run.columns),
             "model_on": run.model_on,
+            "fault": run.fault,
             "settings": repr(self.settings),
             "output": [self.histories, self.reports],
         }
