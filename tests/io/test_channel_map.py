@@ -399,3 +399,20 @@ def test_real_treadmill_recordings(tmp_path, speed):
     velocity = np.loadtxt(TREADMILL / f"Random{speed}Speed1.txt", skiprows=1)[:, 2]
     expected = -(velocity[2:] - velocity[:-2]) * recording.rate / 2
     np.testing.assert_allclose(recording.channel("ground_acceleration").values[1:-1], expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_noise_of_what_is_differentiated_is_that_of_the_result(order, tmp_path, rng):
+    rate, noise, count = 1000.0, 1e-3, 20_000
+    unit = "m/s" if order == 1 else "m"
+    rows = (f"{k / rate:.4f},{k % 7},{value:.12f}" for k, value in enumerate(rng.normal(0, noise, count)))
+    (tmp_path / "v.csv").write_text(f"time [s],AF [N],motion [{unit}]\n" + "\n".join(rows))
+    (tmp_path / "m.toml").write_text(
+        '[channels.AF]\ncolumn = "AF"\n[channels.ground_acceleration]\ncolumn = "motion"\n'
+        f"derivative = {order}\nnoise = {noise}\n"
+    )
+    channel = read(tmp_path / "v.csv", channel_map=load_channel_map(tmp_path / "m.toml")).channel(
+        "ground_acceleration"
+    )
+    # neighbours hang together: as if a third of the samples told the scatter, five deviations
+    assert np.std(channel.values) == pytest.approx(channel.noise, rel=5 / np.sqrt(2 * count / 3))

@@ -324,3 +324,13 @@ def test_a_broken_calibration_is_refused(tmp_path, change, words):
     path.write_text(json.dumps(contents))
     with pytest.raises(ReadError, match=words):
         read_coupled(path)
+
+
+def test_a_covariance_of_some_parameters_leaves_the_others_their_uncertainty(tmp_path):
+    given = {"mass": (100.0, 1.0), "stiffness": (1e7, 1e5), "damping": (500.0, 50.0)}
+    part = {name: {"value": value, "u": u} for name, (value, u) in given.items()}
+    part["covariance"] = {"parameters": ["mass"], "matrix": [[1.0]]}
+    path = tmp_path / "dynamics.json"
+    path.write_text(json.dumps({"components": {"AF": part}}))
+    found = read_dynamics(path)["AF"]
+    assert [found.uncertainty(name) for name in given] == pytest.approx([u for _, u in given.values()])

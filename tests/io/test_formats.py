@@ -437,3 +437,23 @@ def test_names_whose_free_places_are_in_a_circle_are_refused_before_the_library_
     path.write_bytes(content)
     with pytest.raises(ReadError, match=f"byte {place}: the free places of a group's names are in a circle"):
         read(path)
+
+
+@pytest.mark.parametrize("even", [True, False])
+def test_times_of_a_universal_file_have_their_unit(even, tmp_path) -> None:
+    count, step = 50, 0.5
+    head = [
+        "    -1",
+        "    58",
+        "AF",
+        *["NONE"] * 4,
+        f"{1:5d}{0:10d}{0:5d}{0:10d} {'NONE':>10}{1:10d}{0:4d} {'NONE':>10}",
+    ]
+    head += [f"{4:10d}{count:10d}{int(even):10d}{0.0:13.5e}{step if even else 0.0:13.5e}{0.0:13.5e}"]
+    head += [f"{17:10d}{0:5d}{0:5d}{0:5d} {'Time':<20} {'ms':<20}", f"{0:10d}{0:5d}{0:5d}{0:5d} {'AF':<20} {'N':<20}"]
+    head += [f"{0:10d}{0:5d}{0:5d}{0:5d} {'NONE':<20} {'NONE':<20}"] * 2
+    values = [f"{np.sin(k):20.12E}" for k in range(count)]
+    body = values if even else [f"{k * step:13.5E}{value}" for k, value in enumerate(values)]
+    path = tmp_path / "ms.uff"
+    path.write_text("\n".join([*head, *body, "    -1", ""]))
+    assert read(path).rate == pytest.approx(2000.0)

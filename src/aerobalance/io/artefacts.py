@@ -318,7 +318,7 @@ def checked_covariance(path: Path, where: str, given: Covariance | None, deviati
                 f"has the standard uncertainty {np.sqrt(variance):.6g} for {name}, but {name}.u is "
                 f"{deviations[name]:.6g}; they must agree (or leave the covariance out)",
             )
-    full = np.zeros((len(names), len(names)))
+    full = np.diag(np.array(list(deviations.values())) ** 2)  # of those that the covariance does not name
     index = [names.index(name) for name in given.parameters]
     full[np.ix_(index, index)] = matrix
     return full

@@ -114,6 +114,7 @@ def read_balfit_matrix(path: Path | str) -> BalanceMatrix:
     header, blocks = _parts(file, read_text(file).splitlines())
     names = _cells(file, header, "LOAD_NAME")
     c = len(names)
+    _check_method(file, header, blocks, c)
     units = _cells(file, header, "LOAD_UNIT", c)
     gauges = _cells(file, header, "GAGE_OUT_NAME", c)
     moments = np.array([_is_moment(file, unit) for unit in units])
@@ -129,7 +130,10 @@ def read_balfit_matrix(path: Path | str) -> BalanceMatrix:
         if label not in known:
             raise ReadError(file, "D2", f"{label!r} is no term; examples: {', '.join(list(known)[:: c * 2][:4])}")
     capacity = capacity * load
-    linear = np.linalg.inv(inverse)
+    try:
+        linear = np.linalg.inv(inverse)
+    except np.linalg.LinAlgError:
+        raise ReadError(file, "D0", "cannot be inverted: its rows depend on each other") from None
     output_scale = np.abs(np.diag(linear)) * capacity
     terms = [Term(0, i, i) for i in range(c)]
     rows = [linear[:, i] * capacity[i] / output_scale for i in range(c)]
@@ -160,6 +164,28 @@ def read_balfit_matrix(path: Path | str) -> BalanceMatrix:
         )
     except ValueError as error:
         raise ReadError(file, "", str(error)) from None
+
+
+def _check_method(
+    path: Path,
+    header: dict[str, tuple[int, list[str]]],
+    blocks: dict[str, list[tuple[int, list[str]]]],
+    count: int,
+) -> None:
+    """Refuse another iteration than the primary one of AIAA R-091, D2 alone, from outputs without an intercept."""
+    if "ITERATION_METHOD" in header:
+        number, words = header["ITERATION_METHOD"]
+        if "primary" not in (word.casefold() for word in words):
+            raise ReadError(path, f"line {number}", f"{' '.join(words)}: the primary load iteration method is read")
+    if "INTERCEPT" in header and _values(path, header, "INTERCEPT", count).any():
+        number = header["INTERCEPT"][0]
+        raise ReadError(
+            path, f"line {number}", "has intercepts; fit the matrix to outputs less the natural zeros, without them"
+        )
+    if _block(path, blocks, "D1", count)[1].any():
+        raise ReadError(
+            path, "D1", "is not zero: it belongs to the secondary load iteration method; use the primary one"
+        )
 
 
 def _parts(

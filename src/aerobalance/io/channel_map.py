@@ -416,4 +416,6 @@ def _differentiated(channel: Channel, order: int, rate: float) -> Channel:
             f"{channel.name}: {lost} more samples are missing after differentiation, beside those missing in the "
             "file; the model bridges them, and the uncertainty is larger there"
         )
-    return replace(channel, values=values)
+    # of white noise, by half the difference over two intervals, or by 1, -2, 1 over one
+    gain = rate / np.sqrt(2) if order == 1 else np.sqrt(6) * rate**2
+    return replace(channel, values=values, noise=None if channel.noise is None else float(gain * channel.noise))

@@ -243,7 +243,11 @@ def _holdings(path: Path, file: BinaryIO, sets: list[_Set]) -> Holdings:
         name, unit = named(label, "" if header.unit.upper() == "NONE" else header.unit)
         clock, axis, fault = None, "", _fault(header)
         if header.even:
-            clock = Clock(header.start, header.interval)
+            try:
+                change = conversion(_unit_of_time(header), expected="s")
+                clock = Clock(float(change.inside(header.start)), float(change.inside(header.interval)))
+            except ValueError as error:
+                fault = fault or f"its times are in another unit than those of time: {error}"
         elif not fault:
             key = _numbers(path, file, one, 0, header.points)[::2].tobytes()
             axis = shared.setdefault(key, f"{label} (times)")
