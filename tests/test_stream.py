@@ -1,6 +1,6 @@
 """The live force against the whole-record smoother, for any chunking, and through steps and changes of the load."""
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -597,3 +597,24 @@ def test_the_state_of_health_says_what_speaks_against_the_force(resonance, mean_
     found = health.doubts("AF", uncertainty=2.0, still=still)
     assert [(one.kind, one.effect) for one in found] == told
     assert {one.component for one in found} <= {"AF"}
+
+
+def test_uncertainty_beside_a_gap_does_not_hang_on_the_chunks(rng):
+    unsure = replace(T128, covariance=np.diag([1.0, 3e5**2, 80.0**2, 0.0]))
+    load = 1000 + rng.normal(size=3200)
+    load[2000:2020] = np.nan
+    found = []
+    for chunk in (1600, 7):
+        live = LiveForce(unsure, rate=RATE, settings=LiveSettings(learn_inside=False))
+        parts = [live.push(load[at : at + chunk])["AF"] for at in range(0, load.size, chunk)] + [live.finish()["AF"]]
+        found.append(np.concatenate([part.uncertainty for part in parts]))
+    assert found[0] == pytest.approx(found[1], rel=1e-9)
+
+
+@pytest.mark.parametrize("reading", [0.0, 0.5])
+def test_an_accelerometer_with_one_reading_does_not_move(reading, rng):
+    live = LiveForce(T128, rate=RATE, settings=LiveSettings(learn_inside=False))
+    load = 100 + rng.normal(size=3200)
+    found = live.push({"AF": load, "ground_acceleration": np.full(3200, reading)})["AF"]
+    assert not live.moving
+    assert np.mean(found.force) == pytest.approx(100, abs=6 / np.sqrt(found.force.size))

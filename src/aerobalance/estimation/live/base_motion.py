@@ -68,11 +68,19 @@ class BaseMotion:
         """Return the covariance of the noise of the six motions of a sample, shape (6, 6) [(m/s^2)^2, (rad/s^2)^2]."""
         return self._columns.platform.covariance(self._columns.beside_specific(self._test.noise))
 
-    def specific_force(self, rows: Array) -> Array:
-        """Return acceleration less gravity at samples of shape (m, c), shape (m, 6) [m/s^2, rad/s^2]."""
+    def at(self, rows: Array) -> tuple[Array, Array | None]:
+        """Return what it does at samples of shape (m, c).
+
+        Returns
+        -------
+        specific_force
+            Acceleration less gravity, shape (m, 6) [m/s^2, rad/s^2].
+        turn_rate
+            Rate of turn, shape (m, 3) [rad/s]; None where nothing moves or none is read.
+        """
         columns, n = self._columns, self._loads
         if not self.follows:
-            return np.zeros((rows.shape[0], 6))
+            return np.zeros((rows.shape[0], 6)), None
         if not self._held.size:
             self._held = np.zeros(rows.shape[1] - n)
         known = hold_over_gaps(rows[:, n:], self._held)
@@ -82,17 +90,10 @@ class BaseMotion:
             roll = 0.0 if columns.roll is None else known[:, columns.roll - n]
             pull = gravity_components(known[:, columns.pitch - n], roll, gravity=self._gravity)
         if not self.moving:
-            return np.zeros((rows.shape[0], 6)) if pull is None else -pull
+            return (np.zeros((rows.shape[0], 6)) if pull is None else -pull), None
         used = self._used()
-        platform = columns.platform.masked(used > 0)
-        return platform.specific_force(known[:, : used.size] * used, pull=pull)
-
-    def turn_rate(self, rows: Array) -> Array | None:
-        """Return the rate of turn at samples of shape (m, c), shape (m, 3) [rad/s]; None where nothing moves."""
-        if not self.moving:
-            return None
-        used = self._used()
-        return self._columns.platform.turn_rate(rows[:, self._loads : self._loads + used.size] * used)
+        platform, seen = columns.platform.masked(used > 0), known[:, : used.size] * used
+        return platform.specific_force(seen, pull=pull), columns.platform.turn_rate(seen)
 
     def _used(self) -> Array:
         """1 for each sensor that is used, 0 for one that shows but noise."""

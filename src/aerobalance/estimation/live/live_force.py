@@ -427,8 +427,8 @@ class LiveForce:
 
     def _estimate(self, rows: Array) -> None:
         loads = rows[:, : len(self.components)]
-        force = self._motion.specific_force(rows)
-        net = self._equation.net_load(force, self._motion.turn_rate(rows))
+        force, turn_rate = self._motion.at(rows)
+        net = self._equation.net_load(force, turn_rate)
         self._pending.push(loads, net, force)
         if self._decoupler is None:
             self._early.append((loads, net))

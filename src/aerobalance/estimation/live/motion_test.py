@@ -85,7 +85,8 @@ class MotionTest:
             white_noise(column) if noise is None else noise
             for noise, column in zip(self._noises, known.T, strict=True)
         ]
-        beyond = np.var(known, axis=0) >= limit * np.square(noises)
+        # one reading all along is a dead sensor, and no motion
+        beyond = (np.ptp(known, axis=0) > 0) & (np.var(known, axis=0) >= limit * np.square(noises))
         self._moved[beyond] = time
         before, self.moves = self.moves, beyond | (self.moves & (time - self._moved < settings.calm))
         return bool((before != self.moves).any())

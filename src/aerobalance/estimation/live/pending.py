@@ -31,6 +31,7 @@ class Pending:
         n = len(equation.components)
         self._rows = np.zeros((0, 2 * n + 6))
         self._found = [np.zeros((0, 2)) for _ in equation.components]
+        self._held = np.zeros(n)
         self.released = 0
 
     def push(self, loads: Array, net: Array, specific_force: Array) -> None:
@@ -62,9 +63,11 @@ class Pending:
         start, n = min(self.released, 1), len(self._found)
         seen = self._rows[: start + count + 1, :n]
         rates = np.zeros((count, n))
-        if count and seen.shape[0] > 1:
-            filled = np.nan_to_num(hold_over_gaps(seen, np.zeros(n)))
-            rates = np.gradient(filled, self._interval, axis=0)[start : start + count]
+        if count:
+            filled = hold_over_gaps(seen, self._held)
+            if seen.shape[0] > 1:
+                rates = np.gradient(filled, self._interval, axis=0)[start : start + count]
+            self._held = filled[start + count - 1]
         rows = self._rows[start : start + count]
         if count:
             self._rows = self._rows[start + count - 1 :]
