@@ -204,3 +204,50 @@ def test_convert_takes_several_files(tmp_path, capsys, monkeypatch, rng) -> None
     assert main(["convert", "loads.h5", "-o", "other.h5", "--align", "tick"]) == 2
     assert "--align" in capsys.readouterr().err
     assert main([*given, "--align", "guess"]) == 2
+
+
+def test_a_joined_channel_takes_no_name_that_is_there():
+    time, other = np.arange(2000) / 1000, np.arange(1600) / 800
+
+    def trigger(at):
+        return Channel("trigger", (at * 1000 % 700 > 350) * 5.0, "V")
+
+    def level(name, value, count):
+        return Channel(name, np.full(count, value), "m/s^2")
+
+    names = ("ground_acceleration", "ground_acceleration_2")
+    base = {name: level(name, value, time.size) for name, value in zip(names, (1.0, 22.0), strict=True)}
+    first = Recording.from_columns(time, {"trigger": trigger(time), **base}, name="base")
+    second = {"trigger": trigger(other), names[0]: level(names[0], 7.0, other.size)}
+    with pytest.warns(DataQualityWarning):
+        joined = join([first, Recording.from_columns(other, second, name="other")]).recording
+    found = {name: float(np.nanmean(channel.values)) for name, channel in joined.channels.items() if name != "trigger"}
+    assert found == {names[0]: 1.0, names[1]: 22.0, "ground_acceleration_3": 7.0}
+
+
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+def test_a_slow_signal_of_which_a_part_is_common_is_not_put_where_it_looks_alike(rng):
+    scores = []
+    for _ in range(4):
+        walk = np.cumsum(rng.normal(size=60_000))
+        walk = (walk - np.linspace(walk[0], walk[-1], walk.size)) / walk.std()
+        parts = (walk[10_000:40_000], walk[:30_000])  # the second began 10 s before
+        base, other = (
+            Recording.from_columns(
+                np.arange(part.size) / 1000,
+                {"AF": Channel("AF", part + 0.01 * rng.normal(size=part.size), "N")},
+                name=name,
+            )
+            for name, part in zip(("base", "other"), parts, strict=True)
+        )
+        (found,) = join([base, other], way="correlation", by="AF").alignments
+        scores.append((found.offset + 10) / found.u_offset)
+    assert np.abs(scores).max() < 6
+
+
+def test_a_base_far_shorter_than_the_other_is_told_or_aligned(rng):
+    signal = rng.normal(size=30_000)
+    base = Recording.from_columns(np.arange(2000) / 1000, {"AF": Channel("AF", signal[5000:7000], "N")}, name="short")
+    other = Recording.from_columns(np.arange(30_000) / 999, {"AF": Channel("AF", signal, "N")}, name="long")
+    with pytest.raises(FitError):
+        join([base, other], way="correlation", by="AF")

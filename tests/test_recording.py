@@ -6,10 +6,13 @@ import warnings
 import numpy as np
 import pytest
 
-from aerobalance.recording.channel import Channel
+from aerobalance.recording.analog_filter import AntiAlias
+from aerobalance.recording.channel import Channel, CrossAxis
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.jitter import following
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.resampling import interpolate_gaps
+from aerobalance.recording.sensors import corrected
 
 
 def on(stamps, values=None):
@@ -405,3 +408,51 @@ def test_series_of_sep005_that_do_not_fit_are_refused(change, words) -> None:
     second = {**first, "name": "pitch", "unit_str": "deg"} | change
     with pytest.raises(ValueError, match=words):
         Recording.from_sep005([first, {key: value for key, value in second.items() if value is not None}])
+
+
+def test_what_a_sensor_feels_across_its_axis_is_taken_off_in_a_gap_of_the_other():
+    across = np.full(1000, 9.8)
+    across[500] = np.nan
+    channels = {
+        "ground_acceleration": Channel(
+            "ground_acceleration", np.full(1000, 0.49), "m/s^2", cross_axis=(CrossAxis("ground_acceleration_z", 0.05),)
+        ),
+        "ground_acceleration_z": Channel("ground_acceleration_z", across, "m/s^2"),
+    }
+    given = Recording.from_columns(np.arange(1000) / 1600, channels, name="run")
+    assert corrected(given).channel("ground_acceleration").values == pytest.approx(np.zeros(1000), abs=1e-12)
+
+
+def test_a_filter_slower_than_the_record_leaves_no_sample_beside_a_gap(rng):
+    values = rng.normal(size=1000)
+    values[500] = np.nan
+    channel = Channel("AF", values, "N", filter=AntiAlias("bessel", 4, 1.0))
+    found = corrected(Recording.from_columns(np.arange(1000) / 1600, {"AF": channel}, name="run")).channel("AF")
+    assert np.count_nonzero(found.missing) >= 998
+
+
+def test_a_gap_in_a_constant_load_is_filled_with_it():
+    loads = np.full((500, 1), 3.0)
+    loads[100:105] = np.nan
+    assert (interpolate_gaps(loads) == 3.0).all()
+    with pytest.raises(FitError, match="no reading is present"):
+        interpolate_gaps(np.full((500, 1), np.nan))
+
+
+def test_series_of_which_a_later_one_has_the_date_and_series_without_a_clock():
+    first = {"data": np.arange(20.0), "name": "AF", "unit_str": "N", "fs": 100.0}
+    second = {**first, "name": "NF", "start_timestamp": "2024-01-01T00:00:00"}
+    for series in ([first, second], [second, first]):
+        assert Recording.from_sep005(series).epoch == np.datetime64("2024-01-01")
+    with pytest.raises(ValueError, match="fs"):
+        Recording.from_sep005([{"data": np.arange(20.0), "name": "AF", "unit_str": "N", "time": None}])
+    with pytest.raises(ValueError, match="has no sample"):
+        Recording.from_sep005([{**first, "data": np.zeros(0)}])
+
+
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+def test_a_column_without_readings_stays_so_on_a_steady_clock(rng):
+    time = np.sort(np.arange(3000) / 1000 + rng.normal(size=3000) * 2.5e-4)
+    found = Recording.from_arrays(time, {"AF": np.sin(2 * np.pi * 60 * time), "NF": np.full(3000, np.nan)})
+    assert found.channel("NF").missing.all()
+    assert not found.channel("AF").missing.all()

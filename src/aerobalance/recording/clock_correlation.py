@@ -27,6 +27,9 @@ FITTED: Final = 1 << 17
 LEAST_CORRELATION: Final = 0.5
 """Correlation of the common signal in both files from which on they are taken to be of one event."""
 
+PULLED: Final = 0.25
+"""Standard uncertainty of the offset in samples where the slope that both read is but noise: uniform over a sample."""
+
 RIVAL: Final = 0.95
 """Height of a second peak of the correlation, over that of the first, from which on the lag is not certain."""
 
@@ -43,7 +46,7 @@ def _lags(pair: Pair) -> Line:
     rate = min(pair.base.rate, pair.other.rate, COARSE / max(pair.base.duration, pair.other.duration))
     one = _thinned(pair.base, pair.one, rate)
     two = _thinned(pair.other, pair.two, rate)
-    length = max(two.size // SEGMENTS, min(two.size, 64))
+    length = min(max(two.size // SEGMENTS, min(two.size, 64)), one.size)
     size = next_fast_len(one.size + length)
     spectrum = rfft(one, size)
     energy = np.concatenate([[0.0], np.cumsum(one**2)])
@@ -73,12 +76,48 @@ def _lags(pair: Pair) -> Line:
     x = np.array([pair.other.start + (begin + length / 2) / rate for begin, *_ in sure])
     y = np.array([pair.base.start + (peak + length / 2) / rate for _, peak, *_ in sure])
     lags = y - x
-    near = np.abs(lags - np.median(lags)) < 3 / rate + LARGEST_DRIFT * pair.other.duration
+    # parts of a slow signal beyond the common time are like others by chance: all that they have in common decides,
+    # unless a drift smears that
+    shift = pair.other.start - pair.base.start
+    best, likeness = _likeliest(one, two, least=min(length, two.size))
+    lag = best / rate - shift if likeness > LEAST_CORRELATION else float(np.median(lags))
+    near = np.abs(lags - lag) < 3 / rate + LARGEST_DRIFT * pair.other.duration
+    if not near.any():
+        middle = pair.other.start + pair.other.duration / 2
+        return Line(middle, middle + lag, 1.0, 1 / rate, float("nan"))
     x, y = x[near], y[near]
     line = fitted_line(x, y, least=1 / rate)
     if x.size < 3 or abs(line.slope - 1) > LARGEST_DRIFT:
         return Line(float(x.mean()), float(y.mean()), 1.0, 1 / rate, float("nan"))
     return line
+
+
+def _likeliest(one: Array, two: Array, *, least: int) -> tuple[int, float]:
+    """Samples by which a signal begins after another where all that they have in common is most alike, and how much.
+
+    Parameters
+    ----------
+    one, two
+        The signals, shape (n,) and (m,).
+    least
+        Samples that they must have in common.
+    """
+    size = next_fast_len(one.size + two.size)
+    cross = irfft(rfft(one, size) * np.conj(rfft(two, size)), size)
+    lags = np.arange(least - two.size, one.size - least + 1)
+    first, last = np.maximum(lags, 0), np.minimum(one.size, two.size + lags)
+
+    def sums(values: Array, begin: NDArray[np.intp], end: NDArray[np.intp]) -> Array:
+        whole = np.concatenate([[0.0], np.cumsum(values)])
+        return np.asarray(whole[end] - whole[begin])
+
+    count = last - first
+    means = [sums(one, first, last) / count, sums(two, first - lags, last - lags) / count]
+    squares = [sums(one**2, first, last), sums(two**2, first - lags, last - lags)]
+    spread = [np.maximum(s - count * m**2, 1e-6 * s.max()) for s, m in zip(squares, means, strict=True)]
+    like = (cross[lags] - count * means[0] * means[1]) / np.sqrt(spread[0] * spread[1])
+    best = int(np.argmax(like))
+    return int(lags[best]), float(like[best])
 
 
 def _rival(like: Array, peak: int) -> float:
@@ -106,7 +145,7 @@ def _thinned(recording: Recording, channel: Channel, rate: float) -> Array:
 def _refined(pair: Pair, line: Line) -> tuple[Line, int]:
     """Offset and drift by least squares: what the slower recording read is the faster one's signal at these instants.
 
-    Gain and level of one sensor against the other are fitted too. Residuals are taken as white.
+    Gain and level of one sensor against the other are fitted too. Residuals that hang together count as fewer.
     """
     swapped = pair.other.rate > pair.base.rate
     fast, slow = (pair.other, pair.base) if swapped else (pair.base, pair.other)
@@ -120,7 +159,7 @@ def _refined(pair: Pair, line: Line) -> tuple[Line, int]:
     step = max(1, times.size // FITTED)
     chosen = _spread(times.size, step) & known
     answer = None
-    for _ in range(20):
+    for _ in range(200):
         places = (level + slope * (times - middle) - fast.start) * fast.rate
         used = chosen & (places > 12) & (places < source.size - 13)
         if np.count_nonzero(used) < 16:
@@ -154,10 +193,31 @@ def _refined(pair: Pair, line: Line) -> tuple[Line, int]:
             f"explains {100 * max(share, 0):.0f} % of the other"
         )
     covariance = np.linalg.inv((design / scales).T @ (design / scales)) * float(left @ left) / max(left.size - 4, 1)
-    deviations = np.sqrt(np.diag(covariance)) / scales / abs(gain)
+    # noise of the faster recording makes its slope steeper than that of the signal, which the slower one shares
+    own = interpolate_gaps_linearly(late.values)
+    both = np.flatnonzero(used)
+    inside = (both > 12) & (both < own.size - 13)
+    slower = at_places(own, both[inside].astype(np.float64))[1]
+    common = float(slower @ change[inside]) / gain / max(float(change[inside] @ change[inside]), 1e-300)
+    common = min(max(common, 1e-3), 1.0)
+    deviations = np.sqrt(np.diag(covariance) * _together(left)) / scales / abs(gain) / common
+    # and it is smallest between samples, so that such noise pulls the instants there
+    deviations[2] = np.hypot(deviations[2], PULLED * (1 - common) ** 2 / slow.rate)
     if swapped:  # the line goes from the slower to the faster: turn it round
         return Line(level, middle, 1 / slope, float(deviations[2]), float(deviations[3])), left.size
     return Line(middle, level, slope, float(deviations[2]), float(deviations[3])), left.size
+
+
+def _together(left: Array) -> float:
+    """How many residuals count as one: the sum of their correlations up to the first that is none [1]."""
+    size = next_fast_len(2 * left.size)
+    power = np.abs(rfft(left, size)) ** 2
+    correlation = irfft(power, size)[: left.size]
+    if not correlation[0] > 0:
+        return 1.0
+    correlation = correlation / correlation[0]
+    end = int(np.argmax(correlation <= 0)) if (correlation <= 0).any() else left.size
+    return max(1.0, 1 + 2 * float(correlation[1:end].sum()))
 
 
 def _spread(samples: int, step: int) -> NDArray[np.bool_]:

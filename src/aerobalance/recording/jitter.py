@@ -135,6 +135,11 @@ def on_steady_clock(columns: Sequence[Array], places: Array, samples: int) -> Re
     found, errors, gains = [], [], []
     for values in columns:
         known = np.isfinite(values)
+        if not known.any():
+            found.append(np.full(samples, np.nan))
+            errors.append(0.0)
+            gains.append(1.0)
+            continue
         at, mean = places[known], float(values[known].mean())
         penalty = _penalty(values[known] - mean, at, probe[known])
         once = _solved(values[known] - mean, at, samples, penalty)

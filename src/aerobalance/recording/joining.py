@@ -83,7 +83,9 @@ def join(recordings: Sequence[Recording], *, way: Way = "auto", by: str | None =
         places = (alignment.back(kept.time) - one.start) * one.rate
         for channel in one:
             if channel.name != alignment.by:
-                name = channel.name if channel.name not in channels else f"{channel.name}_{number}"
+                name, count = channel.name, number
+                while name in channels:
+                    name, count = f"{channel.name}_{count}", count + 1
                 channels[name] = _resampled(channel, name, places)
     lost = base.samples - (end - begin)
     if lost:

@@ -153,10 +153,14 @@ def interpolate_gaps(loads: Array) -> Array:
         gap = ~np.isfinite(column)
         if not gap.any():
             continue
+        if gap.all():
+            raise FitError("no reading is present")
         column[gap] = np.interp(index[gap], index[~gap], column[~gap])
         mean = column.mean()
         power = np.abs(np.fft.rfft(column - mean, 2 * column.size)) ** 2
         covariance = np.fft.irfft(power)[: column.size] / column.size
+        if not covariance[0] > 0:
+            continue  # constant: the straight line is all there is
         for first, last in gaps_in(gap):
             known = index[max(first - AROUND, 0) : last + AROUND]
             known = known[~gap[known]]

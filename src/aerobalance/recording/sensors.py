@@ -66,7 +66,7 @@ def _unfiltered(channel: Channel, rate: float) -> Channel:
     least = LEAST_GAIN if motion else LEAST_LOAD_GAIN
     values = divided(filled, channel.filter.response, rate=rate, least=least)
     # within a period of the corner the filter's memory has faded to a few percent
-    near = int(np.ceil(rate / channel.filter.corner))
+    near = min(int(np.ceil(rate / channel.filter.corner)), (known.size - 1) // 2)
     if not known.all():
         values[np.convolve(~known, np.ones(2 * near + 1), "same") > 0.5] = np.nan
     return replace(channel, values=values, filter=None)
@@ -87,10 +87,12 @@ def _straightened(channel: Channel, channels: dict[str, Channel], recording: Rec
     for part in felt:
         other = channels[part.channel]
         lag = channel.delay - other.delay
-        across = other.values
-        if lag and np.isfinite(across).any():
-            across = fractional_delay(interpolate_gaps_linearly(across), delay=lag, interval=1 / recording.rate)
-        values -= part.sensitivity * np.where(np.isfinite(across), across, 0.0)
+        if not np.isfinite(other.values).any():
+            continue
+        across = interpolate_gaps_linearly(other.values)
+        if lag:
+            across = fractional_delay(across, delay=lag, interval=1 / recording.rate)
+        values -= part.sensitivity * across
     left = tuple(replace(part, sensitivity=0.0) for part in channel.cross_axis)
     return replace(channel, values=values, cross_axis=left)
 

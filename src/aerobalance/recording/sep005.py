@@ -28,8 +28,8 @@ def clock_of_series(series: Sequence[Mapping[str, Any]]) -> tuple[Array, np.date
     if not series:
         raise ValueError("there is no series in the list; at least one is needed")
     for number, one in enumerate(series, start=1):
-        lacking = [key for key in KEYS if key not in one]
-        if not lacking and "fs" not in one and "time" not in one:
+        lacking = [key for key in KEYS if one.get(key) is None]
+        if not lacking and one.get("fs") is None and one.get("time") is None:
             lacking = ["fs (or time)"]
         if lacking:
             raise ValueError(
@@ -37,6 +37,8 @@ def clock_of_series(series: Sequence[Mapping[str, Any]]) -> tuple[Array, np.date
             )
         if np.ndim(one["data"]) != 1:
             raise ValueError(f"data of {one['name']} must have shape (n,), not {np.shape(one['data'])}")
+        if not np.size(one["data"]):
+            raise ValueError(f"data of {one['name']} has no sample")
     first = _stamps(series[0])
     for one in series[1:]:
         other = _stamps(one)
@@ -45,18 +47,19 @@ def clock_of_series(series: Sequence[Mapping[str, Any]]) -> tuple[Array, np.date
                 f"{series[0]['name']} and {one['name']} have different clocks; make a recording of those of each "
                 "clock, and join them (aerobalance.recording.joining.join)"
             )
-    dates = {str(one["start_timestamp"]) for one in series if one.get("start_timestamp") is not None}
+    told = [one["start_timestamp"] for one in series if one.get("start_timestamp") is not None]
+    dates = {str(one) for one in told}
     if len(dates) > 1:
         raise ValueError(f"the series begin at different times: {', '.join(sorted(dates))}")
     if not dates:
         return first, None
-    return first, _date(series[0]["start_timestamp"], dates.pop()) - np.timedelta64(round(1e9 * float(first[0])), "ns")
+    return first, _date(told[0], dates.pop()) - np.timedelta64(round(1e9 * float(first[0])), "ns")
 
 
 def _stamps(one: Mapping[str, Any]) -> Array:
     """Times of the samples of a series [s]."""
     count = np.shape(one["data"])[0]
-    if "time" in one and one["time"] is not None:
+    if one.get("time") is not None:
         stamps = np.asarray(one["time"], dtype=np.float64)
         if stamps.shape != (count,):
             raise ValueError(f"time of {one['name']} has shape {stamps.shape}, its data ({count},)")
