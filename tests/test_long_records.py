@@ -19,6 +19,7 @@ from aerobalance.recording.part_warnings import PartWarnings
 from aerobalance.recording.parts import parts_of
 from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.budget import component_budget, scalars, spectrum
+from aerobalance.uncertainty.mean_loads import mean_loads
 from aerobalance.uncertainty.monte_carlo import monte_carlo
 from aerobalance.uncertainty.regression import regress
 from helpers.cable_cut import T128
@@ -330,3 +331,24 @@ def test_what_is_said_of_all_parts_is_said_once():
 def test_a_summary_of_no_force_is_refused():
     with pytest.raises(ValueError, match="no part of the record has a force of AF"):
         _ = SummaryOfParts("AF", 11_000, 1).summary
+
+
+def test_the_mean_of_a_divided_force_is_as_uncertain_as_that_of_the_whole(rng):
+    record = run(rng, count=40_000, relative_uncertainty=0.01, zero_uncertainty=1.0)
+    parts, whole = mean_loads(divided(record, UNSURE).force()), mean_loads(estimate_force(record, UNSURE))
+    # gain, zero and dynamics are one error all along; the parts have learned other priors, which changes no mean
+    assert parts.errors.common[0, 0] == pytest.approx(whole.errors.common[0, 0], rel=1e-3)
+
+
+def test_numbers_of_a_force_with_a_silent_part_are_those_of_the_rest(rng):
+    record = run(rng, count=40_000)
+    values = record.channel("AF").values.copy()
+    values[10_000:30_000] = np.nan
+    gone = replace(record, channels={"AF": Channel("AF", values, "N")})
+    with pytest.warns(DataQualityWarning, match="there is no force"):
+        force = divided(gone).force()
+    assert np.isnan(force["AF"].values).any()
+    for text in (repr(force["AF"]), str(force)):
+        assert "nan" not in text
+    with pytest.raises(FitError, match="have no force in this span"):
+        regress(force["AF"], {"mean": 1.0})

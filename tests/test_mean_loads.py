@@ -16,6 +16,7 @@ from aerobalance.recording.frames import Frame, ResolvedLoads, angles_of_attitud
 from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.mean_in_axes import Flow, ReferenceSizes, mean_in_axes
 from aerobalance.uncertainty.mean_loads import Errors, MeanLoads, mean_loads
+from faults.six import SIX, SixScene, identified, recording_of
 from helpers.axial_runs import run_of, spring
 from seeds import trials
 
@@ -117,3 +118,28 @@ def test_a_body_that_is_turned_in_its_balance_has_its_own_angles():
         body = frames_of(axes)[0].loads(balance)
         found = wind_loads(body, angle_of_attack=flow.alpha, sideslip=flow.beta).values[0, [0, 2, 5]]
         np.testing.assert_allclose(found, [0.0, 0.0, pull], atol=1e-9)  # no lift, no side force
+
+
+def test_gains_of_two_channels_are_two_errors(rng):
+    time = np.arange(3200) / 1600
+    channels = {
+        name: Channel(name, 100 + 2 * rng.normal(size=3200), "N", relative_uncertainty=0.01, zero_uncertainty=3.0)
+        for name in ("AF", "NF")
+    }
+    dynamics = {name: Dynamics(name, mass=177.87, stiffness=3.093e7, damping=828.21) for name in channels}
+    force = estimate_force(Recording.from_columns(time, channels, name="run"), dynamics_of(dynamics))
+    common = mean_loads(force).errors.common
+    assert np.diag(common) == pytest.approx([10.0, 10.0], rel=0.01)  # 1 % of 100 N and 3 N
+    assert common[0, 1] == 0
+
+
+def test_errors_of_coupled_dynamics_are_common_to_the_components(rng):
+    record = SixScene().record(rng)
+    force = estimate_force(recording_of(np.column_stack(list(record.columns.values())), SIX.rate), identified())
+    common = mean_loads(force).errors.common
+    ours = identified().covariance
+    size = np.sqrt(np.diag(common))
+    apart = np.abs(common / np.outer(size, size) - np.eye(6)).max()
+    assert 0.1 < apart <= 1  # a dynamic error of one component is one of those that ring with it
+    assert np.linalg.eigvalsh(common)[0] > -1e-9 * np.trace(common)
+    assert ours.any()

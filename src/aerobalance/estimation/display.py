@@ -82,9 +82,9 @@ def _rows(parts: Mapping[str, ComponentForce]) -> list[tuple[str, ...]]:
         (
             name,
             si_unit(name),
-            f"{np.mean(part.values):.5g}",
-            f"{np.std(part.values):.5g}",
-            f"{np.sqrt(np.mean(part.uncertainty**2)):.2g}",
+            f"{np.nanmean(part.values):.5g}",
+            f"{np.nanstd(part.values):.5g}",
+            f"{np.sqrt(np.nanmean(part.uncertainty**2)):.2g}",
             f"{part.bandwidth:.4g}",
         )
         for name, part in parts.items()

@@ -7,7 +7,7 @@ the latter make repeat runs scatter, so they are kept apart through all axes up 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Final
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from aerobalance.balance.loads import Loads
 from aerobalance.estimation.applied_force import Force
-from aerobalance.estimation.error_sources import Contribution, Divided, Noise, Systematic
+from aerobalance.estimation.error_sources import Contribution, Divided, Noise, Systematic, added
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.recording.channel import Array
 from aerobalance.recording.doubts import DOUBTED
@@ -25,6 +25,9 @@ from aerobalance.uncertainty.regression import TAPERS, regress
 
 OF_BALANCE: Final = "balance matrix, zeros and tares"
 """Contribution that is worked out anew here, for all components together."""
+
+DYNAMICS: Final = "dynamics"
+"""Source of what the dynamics contribute."""
 
 OF_ONE_RUN: Final = ("alignment", "gap in", DOUBTED)
 """How contributions begin that hold along a record and belong to it alone."""
@@ -113,14 +116,16 @@ def mean_loads(force: Force) -> MeanLoads:
     weights = present / np.count_nonzero(present)
     values = np.array([float(weights @ np.where(present, part.values, 0.0)) for part in parts])
     common, run = np.zeros((2, len(names), len(names)))
+    shared = [_common(part, weights) for part in parts]
     for i, one in enumerate(parts):
-        for j, other in enumerate(parts[: i + 1]):
-            for kind, into in (("common", common), ("run", run)):
-                into[i, j] = into[j, i] = _between(one, other, weights, kind=kind, same=i == j)
+        common[i, i], run[i, i] = (_variance(one, weights, kind=kind) for kind in ("common", "run"))
+        block = force.dynamics.block_of(names[i]).components
+        for j in range(i):
+            common[i, j] = common[j, i] = _covariance(shared[i], shared[j], coupled=names[j] in block)
     zero = np.zeros_like(common)
     loads = force.loads
     if loads is None:
-        common += np.diag([_of_balance(part, weights) for part in parts])
+        common += np.diag([_variance(part, weights, kind="balance") for part in parts])
     else:
         matrix, zero = _of_matrix(loads, names, present)
         common += matrix
@@ -141,60 +146,42 @@ def _kind(part: Systematic | Noise) -> str:
     return "run" if own else "common"
 
 
-def _between(one: ComponentForce, other: ComponentForce, weights: Array, *, kind: str, same: bool) -> float:
-    """Covariance of the means of two components by errors of a kind; noise goes by `_correlated`."""
-    if same:
-        return sum(
-            part.variance_of(_within(_on_clock_of(contribution, weights), first, part))
-            for contribution in one.contributions
-            for first, part in _pieces(contribution)
-            if _kind(part) == kind
-        )
-    if kind == "run":
-        return 0.0
-    total = 0.0
-    theirs = {
-        (part.name, part.quantities): (_on_clock_of(contribution, weights), first, part)
-        for contribution in other.contributions
-        for first, part in _pieces(contribution)
-        if isinstance(part, Systematic) and _kind(part) == kind
-    }
-    for contribution in one.contributions:
-        for first, part in _pieces(contribution):
-            if not isinstance(part, Systematic) or _kind(part) != kind or not part.quantities:
-                continue
-            found = theirs.get((part.name, part.quantities))
-            # the same quantities, and not combinations that each component has of its own
-            if found is None or not np.array_equal(found[2].covariance, part.covariance) or _is_few(part):
-                continue
-            gradient = _within(_on_clock_of(contribution, weights), first, part) @ part.slopes
-            total += float(gradient @ part.covariance @ (_within(*found) @ found[2].slopes))
-    return total
-
-
-def _is_few(part: Systematic) -> bool:
-    return part.quantities[0].startswith("combination ")
-
-
-def _on_clock_of(part: Contribution, weights: Array) -> Array:
-    """Weights of the samples of a record as weights of those that a contribution is known at, shape (m,)."""
-    return part.on_its_clock(weights[None])[0] if isinstance(part, Divided) else weights
-
-
-def _within(weights: Array, first: int, part: Systematic | Noise) -> Array:
-    """Weights of the samples that a part of a contribution is of."""
-    size = part.slopes.shape[0] if isinstance(part, Systematic) else part.deviation.size
-    return weights[first : first + size]
-
-
-def _of_balance(part: ComponentForce, weights: Array) -> float:
-    """Variance of a mean by the balance where its loads are not at hand."""
+def _variance(one: ComponentForce, weights: Array, *, kind: str) -> float:
+    """Variance of the mean of a component by errors of a kind [N^2, (N*m)^2]."""
     return sum(
-        piece.variance_of(_within(_on_clock_of(contribution, weights), first, piece))
-        for contribution in part.contributions
-        for first, piece in _pieces(contribution)
-        if _kind(piece) == "balance"
+        float(part.covariance_of(weights[None])[0, 0])
+        for part in one.contributions
+        if any(_kind(piece) == kind for _, piece in _pieces(part))
     )
+
+
+def _common(one: ComponentForce, weights: Array) -> dict[tuple[str, str], Array]:
+    """Return the error of a mean per independent number of variance 1 that runs share, shape (1, r) [N, N*m].
+
+    By name and source: the same numbers are wrong in all parts of a record, and in components with the same source.
+    """
+    found: dict[tuple[str, str], Array] = {}
+    for part in one.contributions:
+        own = part.on_its_clock(weights[None]) if isinstance(part, Divided) else weights[None]
+        for first, piece in _pieces(part):
+            if isinstance(piece, Systematic) and _kind(piece) == "common" and piece.slopes.size:
+                here = own[:, first : first + piece.slopes.shape[0]] @ piece.slopes @ piece.numbers
+                key = piece.name, piece.source
+                found[key] = added(found.get(key, np.zeros((1, 0))), here)
+    return found
+
+
+def _covariance(
+    one: Mapping[tuple[str, str], Array], other: Mapping[tuple[str, str], Array], *, coupled: bool
+) -> float:
+    """Covariance of two means by what both have in common; dynamics are the same numbers where they are coupled."""
+    total = 0.0
+    for key, own in one.items():
+        theirs = other.get(key)
+        if theirs is not None and (coupled or key[1] != DYNAMICS):
+            width = min(own.shape[1], theirs.shape[1])
+            total += float((own[:, :width] @ theirs[:, :width].T)[0, 0])
+    return total
 
 
 def _of_matrix(loads: Loads, names: Sequence[str], present: NDArray[np.bool_]) -> tuple[Array, Array]:
