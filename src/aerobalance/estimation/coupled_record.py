@@ -6,7 +6,7 @@ others (`aerobalance.dynamics.decoupling`).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -196,10 +196,18 @@ class CoupledRecord(BalanceRecord):
             The readings with what the gaps were filled with before, shape (samples, n).
         """
         present = np.isfinite(self.loads)
-        force = np.column_stack([forces[name] for name in self.dynamics.components])
-        felt = balance_load(self.dynamics, force, interval=self.interval) + self.from_ground
+        # forces and readings are at the instants of their channels, the balance has one clock
+        force = self._late([forces[name] for name in self.dynamics.components], sign=-1)
+        felt = self._late((balance_load(self.dynamics, force, interval=self.interval) + self.from_ground).T, sign=1)
         left = _free_motion(self.dynamics, filled - felt, present, interval=self.interval)
         return np.where(present, self.loads, felt + left)
+
+    def _late(self, columns: Iterable[Array], *, sign: int) -> Array:
+        """Series of the components delayed as their channels are, or (sign -1) as they were before, (samples, n)."""
+        late = zip(columns, self.channels, strict=True)
+        return np.column_stack(
+            [fractional_delay(one, delay=sign * channel.delay, interval=self.interval) for one, channel in late]
+        )
 
 
 def net_load(platform: PlatformMotion, dynamics: CoupledDynamics) -> Array:

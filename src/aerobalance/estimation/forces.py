@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Final, TypeVar
+from typing import Final, Generic, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from aerobalance.estimation.component_force import Fitted, Method, by_smoother, 
 from aerobalance.estimation.correlated_noise import NoiseMatrix, SharedNoise, as_expected, shared_noise
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.independent_record import IndependentRecord, moves_along_axis
-from aerobalance.estimation.missing_readings import MissingReadings
+from aerobalance.estimation.missing_readings import MissingReadings, filled_error
 from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.result import ComponentForce, with_balance, with_errors, with_few
 from aerobalance.estimation.spectra.line_noise import Hum
@@ -116,15 +116,16 @@ def forces_of(
     """The forces of all components of a record; if `few`, what holds along it is as few numbers as show."""
     if not by_smoother(method=settings.method, bandwidth=settings.bandwidth):
         inverse = partial(estimated, method=settings.method, bandwidth=settings.bandwidth, hum=settings.hum)
-        found = _with_gaps_filled(record, inverse, lambda one: (one.values, one.noise), noises=noises)[0]
+        found = _with_gaps_filled(record, inverse, lambda one: (one.values, one.noise), noises=noises).answers
         return {name: with_few(one) if few else one for name, one in found.items()}
     fitted = partial(Fitted.of, hum=settings.hum, align=settings.align)
     missing: MissingReadings | None = None
+    moved: Mapping[str, Array] = {}
     with PROGRESS.stage(0.0, 0.5, "spectrum and steps"):
         if record.has_gaps and MissingReadings.are_few(record):
             fits, filled, missing = _with_gaps_found(record, fitted, noises=noises)
         else:
-            fits, filled = _with_gaps_filled(
+            fits, filled, moved = _with_gaps_filled(
                 record, fitted, lambda fit: (fit.smoothed.force, fit.signal.learned.noise), noises=noises
             )
 
@@ -144,6 +145,8 @@ def forces_of(
         found = fit.estimate(few=few, ground=ground.pop(name, ()))
         if missing is not None:
             found = with_errors(found, missing.error(fit))
+        if name in moved:
+            found = with_errors(found, filled_error(fit.record.dynamics, moved[name], interval=record.interval))
         return with_few(found) if few else found
 
     with PROGRESS.stage(0.85, 1.0, "uncertainty"):
@@ -170,14 +173,22 @@ def _worked(work: Callable[[ComponentRecord], Answer], records: Mapping[str, Com
     return dict(zip(records, side_by_side(work, records.values(), what="component"), strict=True))
 
 
+class Filled(NamedTuple, Generic[Answer]):
+    """Answers by component of readings whose gaps are filled, the readings, and how far the forces moved, (n,) [N]."""
+
+    answers: dict[str, Answer]
+    readings: Array
+    moved: dict[str, Array]
+
+
 def _with_gaps_filled(
     record: ForceRecord,
     work: Callable[[ComponentRecord], Answer],
     known: Callable[[Answer], tuple[Array, float]],
     *,
     noises: Mapping[str, NoiseSpectrum] | None,
-) -> tuple[dict[str, Answer], Array]:
-    """Return answers by component, and the readings with their gaps filled by what the forces found make them.
+) -> Filled[Answer]:
+    """Return answers by component, of readings with their gaps filled by what the forces found make them.
 
     Parameters
     ----------
@@ -192,6 +203,7 @@ def _with_gaps_filled(
     """
     filled = interpolate_gaps(record.loads)
     found = _worked(work, record.component_records(filled, noises=noises))
+    first = {name: known(one)[0] for name, one in found.items()} if record.has_gaps else {}
     for _ in range(PASSES if record.has_gaps else 0):
         facts = {name: known(one) for name, one in found.items()}
         better = record.filled_by({name: force for name, (force, _) in facts.items()}, filled=filled)
@@ -199,7 +211,8 @@ def _with_gaps_filled(
             break
         filled = better
         found = _worked(work, record.component_records(filled, noises=noises))
-    return found, filled
+    moved = {name: known(found[name])[0] - force for name, force in first.items()}
+    return Filled(found, filled, moved)
 
 
 def _with_gaps_found(

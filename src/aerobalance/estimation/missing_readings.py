@@ -14,14 +14,19 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d
 
+from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.component_force import Fitted
-from aerobalance.estimation.error_sources import Systematic
+from aerobalance.estimation.error_sources import Noise, Systematic
 from aerobalance.estimation.prior import whitened
 from aerobalance.estimation.record import BalanceRecord, ComponentRecord
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.steps import columns_of
 from aerobalance.recording.channel import Array
+
+MISSING: Final = "missing readings of coupled components"
+"""Name of what they contribute to the uncertainty."""
 
 MOST: Final = 256
 """Missing readings at most that are found so."""
@@ -98,13 +103,31 @@ class MissingReadings:
     def error(self, fit: Fitted) -> Systematic:
         """Error of a component's force from what is not known of them, with its fit."""
         columns = _columns(fit.record, self.missing)
-        name = "missing readings of coupled components"
         if columns is None:
-            return Systematic(name, "load", (), np.zeros((len(self.missing), 0)), np.zeros((0, 0)), local=True)
+            return Systematic(MISSING, "load", (), np.zeros((len(self.missing), 0)), np.zeros((0, 0)), local=True)
         series = np.where(fit.signal.reading.present[:, None], columns @ self.root, 0.0)
         names = tuple(f"combination {number}" for number in range(1, self.root.shape[1] + 1))
         slopes = fit.smoothed.estimator.run(series)
-        return Systematic(name, "load", names, slopes, np.eye(len(names)), local=True)
+        return Systematic(MISSING, "load", names, slopes, np.eye(len(names)), local=True)
+
+
+def filled_error(dynamics: ModalModel, moved: Array, *, interval: float) -> Noise:
+    """Return the error of a force from readings of coupled components that are filled and not found one by one.
+
+    The forces fill them better from pass to pass. What they have moved by since the first pass, in which the readings
+    themselves predicted them, is as large as what may still be wrong.
+
+    Parameters
+    ----------
+    dynamics
+        The component's model: as long as it rings once, the error is about as large.
+    moved
+        Change of the force, shape (n,) [N].
+    interval
+        Time between samples [s].
+    """
+    width = max(int(1 / (dynamics.natural_frequency * interval)), 1)
+    return Noise(MISSING, "load", maximum_filter1d(np.abs(moved), width), np.ones(1))
 
 
 def _columns(record: ComponentRecord, missing: NDArray[np.bool_]) -> Array | None:
