@@ -9,12 +9,12 @@ import pytest
 from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.error_sources import Divided, Noise, Systematic
-from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.force import estimate_force, force_record, noise_spectra
 from aerobalance.estimation.force_smoother import LinearSmoother, SmootherResult
 from aerobalance.estimation.independent_record import SingleRecord
 from aerobalance.estimation.noise_draws import NoiseDraws
 from aerobalance.estimation.prior import SpectralPrior
-from aerobalance.estimation.result import ComponentForce, with_balance
+from aerobalance.estimation.result import ComponentForce, budget_of, with_balance
 from aerobalance.estimation.statespace.model_draws import ModelDraws
 from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import QUANTITIES, Channel
@@ -437,3 +437,54 @@ def test_too_few_draws_are_refused():
     given = run(np.random.default_rng(5))
     with pytest.raises(ValueError, match="at least 10"):
         monte_carlo(estimate_force(given, T128), draws=9, seed=1)
+
+
+@pytest.mark.parametrize("frequency", [50.0, 233.3])
+def test_a_line_in_the_spectrum_of_a_noise_is_there_in_a_short_record(frequency, rng):
+    line = np.zeros(4096)
+    line[round(frequency / 800 * 4095)] = 1.0
+    noise = Noise("hum", "AF", np.ones(1600), line / line.mean())
+    for count in (257, 513, 2049):
+        assert noise.relative_density(count).mean() == pytest.approx(1.0, rel=5e-3)  # the ends count in full
+    drawn = np.sqrt(np.mean([np.mean(noise.draw(rng) ** 2) for _ in range(400)]))
+    # a narrow line has the size of two normal numbers: its mean square scatters as itself
+    assert drawn == pytest.approx(1.0, abs=5 / (2 * np.sqrt(400)))
+
+
+def test_two_sensors_of_one_kind_are_both_in_the_budget(rng):
+    parts = [
+        Systematic("accelerometer gain", source, ("gain",), np.full((100, 1), size), np.eye(1))
+        for source, size in (("one", 3.0), ("other", 4.0))
+    ]
+    assert budget_of(parts) == {"accelerometer gain": pytest.approx(5.0)}
+    assert budget_of(parts[1:], budget_of(parts[:1])) == {"accelerometer gain": pytest.approx(5.0)}
+
+
+def test_a_slow_tone_in_a_short_record_leaves_no_force_without_end(rng):
+    time, frequency = np.arange(1600) / 1600, 3.0
+    load = 178 * np.sin(2 * np.pi * frequency * time) + 2 * rng.normal(size=1600)
+    force = estimate_force(Recording.from_columns(time, {"AF": Channel("AF", load, "N")}, name="tone"), T128)
+    (drawn,) = (row for row in monte_carlo(force, draws=40)["AF"].contributions if row.name == "all together")
+    assert drawn.drawn == pytest.approx(drawn.analytic, rel=0.25)  # of 40 draws; it was three thousand times as large
+
+
+def test_a_record_of_noise_has_all_components_and_a_spectrum_no_others(rng):
+    time = np.arange(3200) / 1600
+    channels = {name: Channel(name, 2 * rng.normal(size=3200), "N") for name in ("AF", "NF")}
+    both = Recording.from_columns(time, channels, name="run")
+    calm = Recording.from_columns(time, {"AF": channels["AF"]}, name="calm")
+    dynamics = dynamics_of({name: Dynamics(name, 177.87, 3.093e7, 828.21) for name in channels})
+    with pytest.raises(FitError, match="calm: has no NF"):
+        estimate_force(both, dynamics, noise=calm)
+    spectra = noise_spectra(calm, force_record(calm, T128))
+    with pytest.raises(ValueError, match="noise has XX"):
+        estimate_force(calm, T128, noise={"XX": spectra["AF"]})
+
+
+def test_direct_inverses_refuse_clipped_readings(rng):
+    time = np.arange(3200) / 1600
+    load = np.clip(100 * np.sin(2 * np.pi * 5 * time), -80, 80)
+    clipped = Recording.from_columns(time, {"AF": Channel("AF", load, "N")}, name="run")
+    for settings in ({"bandwidth": 100.0}, {"method": "paper"}):
+        with pytest.raises(FitError, match=r"rest on a limit of the channel"):
+            estimate_force(clipped, T128, keep_outliers=True, **settings)

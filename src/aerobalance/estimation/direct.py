@@ -27,12 +27,13 @@ BAND_ORDER: Final = 8
 
 
 def _without_gaps(record: ComponentRecord, what: str) -> Array:
-    load = record.load
+    load, name = record.load, record.dynamics.component
     missing = int(np.count_nonzero(~np.isfinite(load)))
-    if missing:
+    limited = int(np.count_nonzero(record.recording.channel(name).at_limit))
+    if missing or limited:
         raise FitError(
-            f"{record.recording.name}: {missing} reading(s) of {record.dynamics.component} are missing and {what} "
-            "cannot bridge them; use the smoother without a bandwidth"
+            f"{record.recording.name}: {missing} reading(s) of {name} are missing, {limited} rest on a limit of the "
+            f"channel, and {what} cannot bridge them; use the smoother without a bandwidth"
         )
     return load
 

@@ -142,9 +142,16 @@ class Noise:
         return float(self.covariance_of(weights[None])[0, 0])
 
     def relative_density(self, count: int) -> Array:
-        """Spectrum at so many frequencies from 0 to half the sampling rate, shape (count,) [1]."""
-        places = np.linspace(0, 1, count)
-        return np.interp(places, np.linspace(0, 1, self.spectrum.size), self.spectrum)
+        """Spectrum at so many frequencies from 0 to half the sampling rate, shape (count,) [1].
+
+        At fewer frequencies than it is known at, its mean about each: a line may lie between two of them.
+        """
+        places, own = np.linspace(0, 1, count), np.linspace(0, 1, self.spectrum.size)
+        if not 1 < count < self.spectrum.size:
+            return np.interp(places, own, self.spectrum)
+        summed = np.append(0.0, np.cumsum((self.spectrum[1:] + self.spectrum[:-1]) / 2 * np.diff(own)))
+        edges = np.clip((np.arange(count + 1) - 0.5) / (count - 1), 0.0, 1.0)
+        return np.asarray(np.diff(np.interp(edges, own, summed)) / np.diff(edges))
 
     def draw(self, generator: np.random.Generator) -> Array:
         """One error of this kind, shape (n,) [N]."""

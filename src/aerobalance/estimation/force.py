@@ -284,6 +284,11 @@ def _undivided(
     if isinstance(noise, Recording | Loads):
         noise = noise_spectra(noise, record, **settings.earth)
     noises = {} if noise is None else noise
+    unknown = [name for name in noises if name not in model.components]
+    if unknown:
+        raise ValueError(
+            f"noise has {', '.join(unknown)}, which the dynamics do not have; they have {', '.join(model.components)}"
+        )
     parts = forces_of(record, settings, noises=noises, few=not whole)
     if isinstance(given, Loads):
         parts = with_matrix(parts, given, model)
@@ -396,4 +401,10 @@ def noise_spectra(
     """
     record = force_record(calm, run.dynamics, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
     records = record.with_noise(run.noise).component_records(interpolate_gaps(record.loads))
+    lacking = [name for name in run.dynamics.components if name not in records]
+    if lacking:
+        raise FitError(
+            f"{record.recording.name}: has no {', '.join(lacking)}, and the noise of each component worked out "
+            "is needed; record it too, or work out the others by themselves"
+        )
     return {name: noise_of_component(component) for name, component in records.items()}

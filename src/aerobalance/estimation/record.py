@@ -16,7 +16,7 @@ from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.correlated_noise import SharedNoise
 from aerobalance.estimation.error_sources import Contribution, Systematic
 from aerobalance.estimation.prior import Observation
-from aerobalance.estimation.result import ComponentForce
+from aerobalance.estimation.result import ComponentForce, budget_of
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.motion.gaps import GAP
 from aerobalance.motion.platform import SystematicParameter
@@ -237,7 +237,7 @@ class ComponentRecord(ABC):
             values=values,
             uncertainty=np.asarray(np.sqrt(variance)),
             assumptions=self.assumptions,
-            budget={part.name: float(np.sqrt(np.mean(own**2))) for part, own in found},
+            budget=budget_of([part for part, _ in found]),
             contributions=tuple(part for part, _ in found),
             **facts,  # type: ignore[arg-type]
         )

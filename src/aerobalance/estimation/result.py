@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -139,8 +140,9 @@ class ComponentForce:
     found_motion: Array | None = None
 
     def __repr__(self) -> str:
-        unit, u = si_unit(self.component), float(np.sqrt(np.mean(self.uncertainty**2)))
-        size = f"mean {np.mean(self.values):.6g}, rms about it {np.std(self.values):.6g}, u of a sample {u:.2g} {unit}"
+        unit, u = si_unit(self.component), float(np.sqrt(np.nanmean(self.uncertainty**2)))
+        mean, deviation = np.nanmean(self.values), np.nanstd(self.values)
+        size = f"mean {mean:.6g}, rms about it {deviation:.6g}, u of a sample {u:.2g} {unit}"
         rows = [f"force {self.component}, {self.values.size} samples: {size}", self.method]
         rows += [f"step of {one.height:.6g} {unit} at {one.instant:.6g} s" for one in self.steps[:SHOWN]]
         return "\n  ".join(rows + [f"and {len(self.steps) - SHOWN} steps more"] * (len(self.steps) > SHOWN))
@@ -195,9 +197,20 @@ def with_errors(estimate: ComponentForce, *errors: Contribution) -> ComponentFor
     return replace(
         estimate,
         uncertainty=np.asarray(whole),
-        budget={**estimate.budget, **{error.name: float(np.sqrt(np.mean(error.deviation**2))) for error in errors}},
+        budget=budget_of(errors, estimate.budget),
         contributions=(*estimate.contributions, *errors),
     )
+
+
+def budget_of(errors: Sequence[Contribution], before: Mapping[str, float] | None = None) -> dict[str, float]:
+    """Return the root mean square of contributions by name [N, N*m], those before included.
+
+    Two sensors of one kind have contributions of one name, whose squares are added.
+    """
+    found = {} if before is None else dict(before)
+    for error in errors:
+        found[error.name] = float(np.hypot(found.get(error.name, 0.0), np.sqrt(np.mean(error.deviation**2))))
+    return found
 
 
 def with_few(estimate: ComponentForce) -> ComponentForce:

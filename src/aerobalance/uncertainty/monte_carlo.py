@@ -31,7 +31,7 @@ from aerobalance.estimation.force_smoother import LinearSmoother
 from aerobalance.estimation.noise_draws import NoiseDraws
 from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.record import BalanceRecord, ComponentRecord
-from aerobalance.estimation.result import ComponentForce
+from aerobalance.estimation.result import ComponentForce, budget_of
 from aerobalance.estimation.steps import Step, shape_of
 from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.channel import Array
@@ -286,14 +286,16 @@ class _Trial:
         """Errors that the force takes over as they are: a gain, a zero, an offset, and what is drawn as noise."""
         done = (self.parameters, *SIZES, *NOISES)
         parts = [part for part in self.estimate.contributions if part.name not in done]
-        held = {part.name: part for part in parts if isinstance(part, Systematic)}
-        numbers = {name: drawn_numbers(self.generator, part.covariance, self.draws) for name, part in held.items()}
+        held = [part for part in parts if isinstance(part, Systematic)]
+        numbers = [drawn_numbers(self.generator, part.covariance, self.draws) for part in held]
         noises = [part for part in parts if isinstance(part, Noise)]
         for draw in range(self.draws):
-            yield {
-                **{name: part.slopes @ numbers[name][draw] for name, part in held.items()},
-                **{part.name: part.draw(self.generator) for part in noises},
-            }
+            errors = [(part.name, part.slopes @ own[draw]) for part, own in zip(held, numbers, strict=True)]
+            errors += [(part.name, part.draw(self.generator)) for part in noises]
+            found: dict[str, Array] = {}
+            for name, error in errors:  # two sensors of one kind have one name
+                found[name] = found[name] + error if name in found else error
+            yield found
 
 
 def _changed_sides(reading: Observation, steps: tuple[Step, ...], sizes: Array) -> Array:
@@ -318,7 +320,7 @@ def _summed_up(
             whole[draw] += error
             energies.setdefault(name, []).append(_mean_square(error))
     energies["all together"] = [_mean_square(error) for error in whole]
-    squares = {part.name: float(np.mean(part.deviation**2)) for part in estimate.contributions}
+    squares = {name: own**2 for name, own in budget_of(estimate.contributions).items()}
     squares["all together"] = sum(squares.values())
     squares[" and ".join(NOISES)] = sum(squares.get(name, 0.0) for name in NOISES)
     rows = []

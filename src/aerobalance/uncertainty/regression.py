@@ -118,8 +118,14 @@ def regress(
         raise ValueError(
             f"regress needs at least one regressor and a span of consecutive samples, not {len(regressors)} and {span}"
         )
-    columns = np.column_stack([_column(name, values, estimate)[first:stop] for name, values in regressors.items()])
+    span_ = slice(first, stop)
+    columns = np.column_stack([_column(name, values, estimate, span_) for name, values in regressors.items()])
     force, tapers = estimate.values[first:stop], max(TAPERS, 2 * columns.shape[1])
+    if not np.isfinite(force).all():
+        raise FitError(
+            f"{np.count_nonzero(~np.isfinite(force))} samples of {estimate.component} have no force in this span; "
+            "choose one without them"
+        )
     if force.size < 4 * tapers:
         raise FitError(
             f"{force.size} samples of {estimate.component} are too few for {columns.shape[1]} regressors; use a span "
@@ -156,14 +162,15 @@ def _noise_covariance(weights: Array, density: Array) -> Array:
     return np.asarray(np.real((lines * power) @ lines.conj().T))
 
 
-def _column(name: str, values: ArrayLike, estimate: ComponentForce) -> Array:
-    """Return one regressor at every sample, shape (n,)."""
+def _column(name: str, values: ArrayLike, estimate: ComponentForce, span: slice) -> Array:
+    """Return one regressor at every sample of a span, shape (m,)."""
     column = np.asarray(values, dtype=np.float64)
     if column.shape not in ((), estimate.values.shape):
         raise ValueError(f"regressor {name} must have shape {estimate.values.shape}, not {column.shape}")
-    if not np.isfinite(column).all():
+    own = np.broadcast_to(column, estimate.values.shape)[span]
+    if not np.isfinite(own).all():
         raise ValueError(f"regressor {name} is not finite everywhere; choose a span without such samples")
-    return np.broadcast_to(column, estimate.values.shape)
+    return own
 
 
 def _least_squares(columns: Array, names: tuple[str, ...]) -> tuple[Array, Array]:

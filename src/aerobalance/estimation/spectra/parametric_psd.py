@@ -66,6 +66,11 @@ With the corner in its place a Gauss curve is a valley: corner and q grow togeth
 """
 
 
+UNSEEN_LEVEL: Final = 1e3
+"""Largest level over the largest density that the record shows: below its first ordinate a slow tone would let it rise
+without end, to a force that no draw of a Monte Carlo can have."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Averages:
     """What the likelihood needs of a periodogram.
@@ -201,9 +206,11 @@ def _limits(periodogram: Periodogram, floor: float | None) -> Array:
     """Least and largest values that a point may have, shape (2, 5)."""
     lowest, highest = float(periodogram.frequency[0]), float(periodogram.frequency[-1])
     least = max(floor or 0.0, 1e-200)
+    shown = float(np.max(periodogram.density / periodogram.gain))
+    most = min(np.log(UNSEEN_LEVEL * shown), 500.0) if shown > 0 else 500.0
     return np.array(
         [[-500.0, np.log(0.1 * lowest), *np.log([EXPONENTS[0], POWERS[0], least])],
-         [500.0, np.log(30 * highest), *np.log([EXPONENTS[1], POWERS[1], 1e200])]]
+         [most, np.log(30 * highest), *np.log([EXPONENTS[1], POWERS[1], 1e200])]]
     )  # fmt: skip
 
 
