@@ -245,7 +245,7 @@ def test_the_command_says_it_in_fields_and_at_the_top(tmp_path: Path, monkeypatc
 @pytest.mark.parametrize(
     "name", ["0.1 N", "0.2 N", "sine of 0.2 N at 20 Hz", "0.4 N", "sine of 0.4 N at 20 Hz", "5 s, 0.2 N"]
 )
-@pytest.mark.soak(first=3)
+@pytest.mark.soak(first=2)
 def test_a_force_that_the_noise_hides_is_in_the_uncertainty(name):
     """Over some records the mean square error is no more than said, however faint the force, and not far less."""
     (case,) = [one for one in CASES.values() if one.group == "faint" and one.name.startswith(name)]

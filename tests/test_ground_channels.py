@@ -44,7 +44,7 @@ def told(doubt: Doubt) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize("name", SOUND)
-@pytest.mark.soak(first=5)
+@pytest.mark.soak(first=2)
 def test_sound_channels_are_not_doubted(name, seed):
     doubted = []
     for one in range(trials(2, 24)):
@@ -77,7 +77,7 @@ FAULTS = [
 
 
 @pytest.mark.parametrize(("channel", "fault", "size"), FAULTS)
-@pytest.mark.soak(first=5)
+@pytest.mark.soak(first=3)
 def test_a_fault_of_one_channel_is_named_and_counted(channel, fault, size, rng):
     made = shaken(rng)
     record = (made.with_late(channel, size) if fault == "late" else made.with_gain(channel, size)).used
@@ -96,6 +96,7 @@ def test_a_fault_of_one_channel_is_named_and_counted(channel, fault, size, rng):
     assert max(record.ratios(force).values()) < 1.5
 
 
+@pytest.mark.soak(first=0)
 def test_a_gain_of_nine_tenths_is_found(seed):
     """It is told to some percent, so that the limit of four standard uncertainties is passed more often than not."""
     named, count = 0, trials(3, 12)

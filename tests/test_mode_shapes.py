@@ -197,6 +197,7 @@ def test_modes_that_no_longer_ring_are_none_that_have_moved() -> None:
 
 
 @pytest.mark.parametrize("turning", ["acceleration", "rate"])
+@pytest.mark.soak(first=1)
 def test_noise_of_the_grounds_sensors_is_no_ringing(turning, seed):
     """It rings in all components at once, which no independent forces do; of 16 records 4 were doubted so."""
     for one in range(trials(4, 16)):

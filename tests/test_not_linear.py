@@ -56,6 +56,7 @@ def test_what_is_not_linear_is_named_and_counted(name, kind):
 
 
 @pytest.mark.parametrize("share", [1, 5])
+@pytest.mark.soak(first=1)
 def test_a_spring_that_hardens_is_no_further_mode(share):
     (case,) = (one for one in all_cases() if one.name == f"hardening {share} % at 2 kN, 0-100 Hz")
     record, dynamics = case.record(0), case.known(0)
