@@ -14,7 +14,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import maximum_filter1d
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.component_force import Fitted
@@ -126,6 +125,8 @@ def filled_error(dynamics: ModalModel, moved: Array, *, interval: float) -> Nois
     interval
         Time between samples [s].
     """
+    from scipy.ndimage import maximum_filter1d  # noqa: PLC0415 - takes 30 ms, and few records need it
+
     width = max(int(1 / (dynamics.natural_frequency * interval)), 1)
     return Noise(MISSING, "load", maximum_filter1d(np.abs(moved), width), np.ones(1))
 
