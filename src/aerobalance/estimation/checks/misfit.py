@@ -77,6 +77,9 @@ class MisfitSettings:
     decayed: float = 5.0
 
 
+ROUNDING: Final = 1e-9
+"""Relative change of a damping ratio that is rounding."""
+
 SETTINGS: Final = MisfitSettings()
 """Thresholds that are used."""
 
@@ -267,7 +270,7 @@ def _spoken(spoken: Spoken, dynamics: Dynamics) -> Misfit:
     frequency = other.natural_frequency / dynamics.natural_frequency - 1, spoken.u
     if spoken.kind == "damping ratio":
         return Misfit(dynamics.component, damping=(ratio, np.nan))
-    return Misfit(dynamics.component, frequency=frequency, damping=(ratio, np.nan) if ratio else None)
+    return Misfit(dynamics.component, frequency=frequency, damping=(ratio, np.nan) if abs(ratio) > ROUNDING else None)
 
 
 def _looks_alike(mode: Mode, learned: SpectralPrior, interval: float) -> bool:
