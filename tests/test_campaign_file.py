@@ -184,6 +184,13 @@ def test_a_number_in_a_table_is_what_an_engineer_writes(text, value):
     assert cell(text) == value
 
 
+def test_the_name_of_a_file_is_no_number(tmp_path):
+    table = tmp_path / "runs.csv"
+    table.write_text("file,config\n0012,0012\n")
+    ((_, cells),) = read_rows(str(table))
+    assert cells == {"file": "0012", "config": 12}
+
+
 def test_a_unit_that_is_not_known_stays_in_the_name_of_its_column(tmp_path):
     table = tmp_path / "runs.csv"
     table.write_text("file,pdyn [kN/m^2],p [kPa]\na.csv,2.0,3.0\n")

@@ -332,9 +332,10 @@ def _names(files: Sequence[str]) -> list[str]:
     long = [_plain("_".join([*Path(file.partition("://")[2] or file).parts[-2:]])) for file in files]
     first: dict[str, str] = {}
     for name, file in zip(long, files, strict=True):
-        other = first.setdefault(name.lower(), file)
-        if other != file:
+        if name.lower() in first:
+            other = first[name.lower()]
             raise ReadError(file, "", f"its run and that of {other} would both be called {name}; give it another name")
+        first[name.lower()] = file
     return long
 
 

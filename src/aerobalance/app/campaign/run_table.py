@@ -77,10 +77,9 @@ def read_rows(table: str) -> list[tuple[int, dict[str, Cell]]]:
             for (name, factor), part in zip(heads, row, strict=False)
             if name and part.strip()
         }
-        if not isinstance(cells.get("file", ""), str):
-            cells["file"] = str(cells["file"])
-        if not cells.get("file"):
+        if "file" not in cells:
             raise ReadError(table, f"line {line}", "names no file")
+        cells["file"] = row[names.index("file")].strip()  # as it is written: 0012 is no number
         found.append((line, cells))
     return found
 
