@@ -478,7 +478,7 @@ def test_readings_that_come_late_have_their_force_at_their_own_samples(lead, rng
     assert np.allclose(*forces, rtol=0, atol=1e-6, equal_nan=True)
     assert np.isnan(forces[0][: lead - 2_000]).all()
     known = forces[0][lead:]
-    # beside the step and past the start six deviations of the noise: the force of a wide band is noisier than that
+    # a force a sample too early or late is off by 50 N; that of a wide band, before it is learned, has 1 N of noise
     assert np.abs(known[1200:1590]).max() < 5.0
     assert np.abs(known[1700:2900] - 50).max() < 5.0
 

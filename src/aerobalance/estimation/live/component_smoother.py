@@ -159,13 +159,21 @@ class ComponentSmoother:
         self._recent.append(readings)
         parts: list[tuple[Array, Array]] = []
         if state.filter is None:
-            given = state.start
-            readings, enough = self._beginning(last=last)
-            nothing = np.full(state.start - given, np.nan)
+            readings = self._recent.between(state.start, self._recent.stop)
+            most, wanted = self.settings.learned_from, self.settings.lag // 2
+            enough = _reached(readings, wanted, most=most)
+            if not enough and last and _reached(readings, FEWEST, most=readings.size):
+                enough = readings.size
+            # what is older than the readings that it begins with has no force, and nothing if it never begins
+            skipped = readings.size if last and not enough else max((enough or readings.size) - most, 0)
+            nothing = np.full(skipped, np.nan)
             parts.append((nothing, nothing))
+            if skipped:
+                self._start_at(state.start + skipped)
             if not enough:
                 return self._final(parts)
-            state.begin = readings[:enough]
+            readings = readings[skipped:]
+            state.begin = readings[: enough - skipped]
             state.filter = self._made(state.begin, first=state.start)
         while readings.size and state.filter is not None:
             count = min(state.filter.room(), readings.size)
@@ -178,29 +186,12 @@ class ComponentSmoother:
             self._collect(state.filter, parts)
         return self._final(parts)
 
-    def _beginning(self, *, last: bool) -> tuple[Array, int]:
-        """The readings from the one that the filter begins with on, and how many it begins with; 0 for too few yet.
-
-        It begins where enough of the last `learned_from` readings are present. What is older has no force, and neither
-        has anything if the stream ends before.
-        """
-        state, recent, wanted, settings = self.state, self._recent, self.settings.lag // 2, self.settings
-        readings = recent.between(state.start, recent.stop)
-        present = np.cumsum(np.isfinite(readings))
-        here = present - np.concatenate([np.zeros(settings.learned_from, np.int64), present])[: present.size]
-        reached = np.flatnonzero(here >= wanted)
-        stop = int(reached[0]) + 1 if reached.size else 0
-        if not stop and last:
-            stop = readings.size if _reached(readings, FEWEST) else 0
-        skipped = max((stop or readings.size) - settings.learned_from, 0)
-        if last and not stop:
-            skipped = readings.size
-        state.start += skipped
-        if skipped:
-            state.learn_from = state.wide_since = state.start
-            state.widen_at = state.start + settings.settling
-            state.learn_at = state.start + settings.first_learning if state.learning is None else None
-        return readings[skipped:], max(stop - skipped, 0)
+    def _start_at(self, start: int) -> None:
+        """Begin with a later reading, from which all marks are counted then."""
+        state, settings = self.state, self.settings
+        state.start = state.learn_from = state.wide_since = start
+        state.widen_at = start + settings.settling
+        state.learn_at = start + settings.first_learning if state.learning is None else None
 
     def _final(self, parts: list[tuple[Array, Array]]) -> FinalSamples:
         force, variance = (np.concatenate([np.zeros(0), *(part[which] for part in parts)]) for which in (0, 1))
@@ -435,7 +426,9 @@ class ComponentSmoother:
         )
 
 
-def _reached(values: Array, wanted: int) -> int:
-    """Samples from the first until so many of them are present; 0 if there are not so many."""
-    place = int(np.searchsorted(np.cumsum(np.isfinite(values)), wanted))
-    return place + 1 if place < values.size else 0
+def _reached(values: Array, wanted: int, *, most: int) -> int:
+    """Samples from the first until so many of the last `most` are present; 0 if they never are."""
+    present = np.cumsum(np.isfinite(values))
+    before = np.concatenate([np.zeros(min(most, values.size), dtype=present.dtype), present])[: values.size]
+    reached = np.flatnonzero(present - before >= wanted)
+    return int(reached[0]) + 1 if reached.size else 0

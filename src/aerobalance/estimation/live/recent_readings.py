@@ -22,11 +22,6 @@ class RecentReadings:
         self._first = self._stop = 0
 
     @property
-    def oldest(self) -> int:
-        """Number of the oldest that is kept."""
-        return self._first
-
-    @property
     def stop(self) -> int:
         """Number after the newest."""
         return self._stop
