@@ -114,7 +114,8 @@ def filled_error(dynamics: ModalModel, moved: Array, *, interval: float) -> Nois
     """Return the error of a force from readings of coupled components that are filled and not found one by one.
 
     The forces fill them better from pass to pass. What they have moved by since the first pass, in which the readings
-    themselves predicted them, is as large as what may still be wrong.
+    themselves predicted them, is no less than what may still be wrong: the error in a gap of 40 samples of six
+    components was 0.3 to 0.9 times the uncertainty with it, and up to 16 times that without.
 
     Parameters
     ----------

@@ -228,7 +228,7 @@ def _fault(header: _Header) -> str:
     if header.abscissa not in (0, _TIME):
         return f"it is over a quantity of kind {header.abscissa}, not over time (17)"
     if header.even and not 1e-12 <= header.interval <= 1e6:
-        return f"its interval is {header.interval:g} s"
+        return f"its interval is {header.interval:g} {header.abscissa_unit or 's'}"
     return "" if header.points > 1 else f"it has {header.points} point(s)"
 
 
