@@ -343,16 +343,21 @@ def test_a_few_periods_that_seem_to_grow_lead_nowhere_else(draw):
         assert abs(getattr(fit.dynamics, name) - getattr(T128, name)) < 5 * fit.dynamics.uncertainty(name)
 
 
+@pytest.mark.parametrize(("component", "ending"), [("AF", ""), ("NF", "_z"), ("NF", "")])
 @pytest.mark.parametrize("moving", [True, False])
-def test_a_ground_end_that_moves_is_named(moving, rng):
+def test_a_ground_end_that_moves_is_named(moving, component, ending, rng):
     """0.3 m/s^2 of amplitude are 0.21 m/s^2 rms and a load of 38 N, of a ringing of 1020 N: a fiftieth counts."""
     time = clock(2.0)
     recording = noisy(rng, release(2.0))
     ground = 0.3 * moving * np.sin(2 * np.pi * 20 * time) + rng.normal(0, 0.02, time.size)
-    channels = {**recording.channels, "ground_acceleration": Channel("ground_acceleration", ground, "m/s^2")}
+    name = f"ground_acceleration{ending}"
+    channels = {
+        component: replace(recording.channel("AF"), name=component),
+        name: Channel(name, ground, "m/s^2"),
+    }
     with warnings.catch_warnings():
         warnings.simplefilter("ignore" if moving else "error", DataQualityWarning)
-        fit = identify_decay(replace(recording, channels=channels), mass=T128.mass)
+        fit = identify_decay(replace(recording, channels=channels), component=component, mass=T128.mass)
     assert [doubt.kind for doubt in fit.doubts] == (["moving ground"] if moving else [])
     if moving:
         stated = float(fit.doubts[0].text.split("a load of ")[1].split(" N")[0])

@@ -58,6 +58,20 @@ def test_accelerometer_noise_explains_the_deviation_of_steady_dwells(rng):
     assert 0.22 < np.mean(scores**2) < 2.4
 
 
+def test_dwells_of_a_force_are_those_of_the_accelerometer_of_its_axis(rng):
+    recording = shake(SteppedSine((600.0, 640.0, 680.0), settle=0.05, hold=0.25), rng)
+    names = {"AF": "NF"} | {f"{end}_acceleration": f"{end}_acceleration_z" for end in ("ground", "live")}
+    turned = {names.get(name, name): channel for name, channel in recording.channels.items()}
+    aft = {"ground_acceleration": recording.channel("ground_acceleration")}
+    aft["ground_acceleration"] = replace(aft["ground_acceleration"], values=rng.normal(size=recording.samples))
+    channels = {name: replace(channel, name=name) for name, channel in turned.items()} | aft
+    turned_record = replace(recording, channels=channels)
+    dwells = find_dwells(turned_record, component="NF")
+    assert dwells == find_dwells(recording)
+    dynamics = replace(TRUE, component="NF")
+    assert harmonic_check(turned_record, dwells, dynamics=dynamics) == harmonic_check(recording, dwells, dynamics=TRUE)
+
+
 def test_unsteady_dwells_are_flagged_and_their_deviation_is_split(rng):
     steps = (
         *np.arange(540.0, 640.0, 20.0),

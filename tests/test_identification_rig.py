@@ -214,20 +214,49 @@ def test_delay_known_from_the_channel_settings_is_removed(rng):
     assert given.uncertainty("damping") < left.uncertainty("damping")
 
 
-@pytest.mark.parametrize("coupling", ["kinematic", "dc"])
-def test_pitching_ground_end(coupling: str, rng):
-    # A balance that pitches while it is shaken feels x1'' - g sin(pitch); a dc accelerometer reads just that.
+def along(recording: Recording, component: str) -> Recording:
+    """The record as that of another force: load and accelerometers with its names."""
+    ending = {"AF": "", "SF": "_y", "NF": "_z"}[component]
+    names = {"AF": component} | {f"{end}_acceleration": f"{end}_acceleration{ending}" for end in ("ground", "live")}
+    channels = {names.get(name, name): channel for name, channel in recording.channels.items()}
+    return replace(recording, channels={name: replace(one, name=name) for name, one in channels.items()})
+
+
+@pytest.mark.parametrize("component", ["NF", "SF"])
+def test_the_accelerometer_of_its_axis_drives_a_force(component: str, rng):
+    """A table that shakes a little along as well: with that accelerometer the mass would be 20 times as large."""
+    shaken = shake(DRIVES["random"], rng, live=True).recording
+    aft = shaken.channel("ground_acceleration")
+    aft = replace(aft, values=0.05 * aft.values, relative_uncertainty=0.1)
+    turned = along(shaken, component)
+    turned = replace(turned, channels={**turned.channels, "ground_acceleration": aft})
+    fit, texts = said(turned, component=component)
+    assert texts == []
+    assert fit.live is not None
+    # the uncertain gain of the accelerometer along does not count; five standard deviations
+    assert abs(fit.dynamics.mass - MASS) < 5 * fit.dynamics.uncertainty("mass") < 0.01 * MASS
+    assert fit.dynamics.damping == pytest.approx(identify_rig(shaken).dynamics.damping, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("component", "coupling"), [("AF", "kinematic"), ("AF", "dc"), ("NF", "dc"), ("SF", "kinematic")]
+)
+def test_pitching_ground_end(component: str, coupling: str, rng):
+    # A balance that pitches while it is shaken feels x1'' less gravity along it; a dc accelerometer reads just that.
     simulation = shake(DRIVES["random"], rng, delay=0.0)
-    samples = simulation.pitch.size
-    pitch = 0.1 * np.sin(2 * np.pi * 1.5 * np.arange(samples) / 25e3)
-    weight = TRUE.mass * STANDARD_GRAVITY * np.sin(pitch)  # slow, so the load follows it as at rest
+    slow = 0.1 * np.sin(2 * np.pi * 1.5 * np.arange(simulation.pitch.size) / 25e3)
+    pitch, roll = 0.3 + slow, 0.2 - 0.5 * slow
+    weights = {"AF": np.sin(pitch), "SF": np.cos(pitch) * np.sin(roll), "NF": -np.cos(pitch) * np.cos(roll)}
+    gravity = STANDARD_GRAVITY * weights[component]
     recording = with_channel(simulation.recording, "pitch", values=pitch)
-    recording = with_channel(recording, "AF", values=recording.channel("AF").values + weight)
+    recording = replace(recording, channels={**recording.channels, "roll": Channel("roll", roll, "rad")})
+    # slow, so the load follows it as at rest
+    recording = with_channel(recording, "AF", values=recording.channel("AF").values + TRUE.mass * gravity)
     ground = recording.channel("ground_acceleration").values
     if coupling == "dc":
-        ground = ground - STANDARD_GRAVITY * np.sin(pitch)
+        ground = ground - gravity
     recording = with_channel(recording, "ground_acceleration", values=ground, coupling=coupling)
-    fit = identify_rig(recording, mass=MASS, delay=0.0)
+    fit = identify_rig(along(recording, component), component=component, mass=MASS, delay=0.0)
     error = fit.dynamics.natural_frequency - TRUE.natural_frequency
     assert abs(error) < 5 * fit.dynamics.uncertainty("natural_frequency")
 

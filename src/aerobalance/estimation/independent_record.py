@@ -27,7 +27,7 @@ from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.motion.platform import SystematicParameter
 from aerobalance.motion.single_axis import GroundMotion, load_from_ground
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import STANDARD_GRAVITY, acceleration_name
+from aerobalance.recording.components import STANDARD_GRAVITY, driving_channel
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import fractional_delay
 from aerobalance.recording.sensors import corrected
@@ -66,7 +66,7 @@ class SingleRecord(ComponentRecord):
     @property
     def motion_source(self) -> str:
         """Channels that the noise of the ground's motion comes from."""
-        given = (acceleration_name("ground", self.dynamics.component), "pitch")
+        given = (driving_channel("ground", self.dynamics.component, self.recording), "pitch")
         names = [name for name in given if name in self.recording]
         return " and ".join(names) or "ground_acceleration"
 
@@ -111,8 +111,8 @@ class SingleRecord(ComponentRecord):
         The motion across the axis is taken as large as that along it. None where there is no accelerometer, where its
         cross-axis sensitivity is stated, or where nothing moves.
         """
-        names = (acceleration_name("ground", self.dynamics.component), "ground_acceleration")
-        channel = next((self.recording.channel(name) for name in names if name in self.recording), None)
+        name = driving_channel("ground", self.dynamics.component, self.recording)
+        channel = self.recording.channel(name) if name in self.recording else None
         if channel is None or channel.cross_axis or not np.ptp(self.motion.specific_force) > 0:
             return None
         values = np.where(np.isfinite(channel.values), channel.values, np.nanmean(channel.values))

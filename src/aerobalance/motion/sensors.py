@@ -22,8 +22,8 @@ from aerobalance.recording.components import (
     FORCE_AXES,
     IS_FORCE,
     MOMENTS,
-    acceleration_name,
     driving_axis,
+    driving_channel,
 )
 from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.noise import channel_noise
@@ -129,9 +129,8 @@ def driving_sensors(recording: Recording, component: str) -> tuple[GroundSensor,
     FitError
         The channel has no reading.
     """
-    names = (acceleration_name("ground", component), "ground_acceleration")
-    name = next((name for name in names if name in recording), None)
-    if name is None:
+    name = driving_channel("ground", component, recording)
+    if name not in recording:
         return ()
     channel = recording.channel(name)
     _check_read(channel, recording)

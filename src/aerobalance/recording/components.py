@@ -7,7 +7,7 @@ acceleration along the balance are positive aft; NF is positive up, SF to the ri
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from typing import Final
 
 import numpy as np
@@ -110,3 +110,17 @@ def driving_axis(component: str) -> str:
 def acceleration_name(end: str, component: str) -> str:
     """Return the channel of the acceleration, of the ``"ground"`` or the ``"live"`` end, that drives a component."""
     return f"{end}_acceleration{ENDINGS[driving_axis(component)]}"
+
+
+def driving_channel(end: str, component: str, recorded: Container[str]) -> str:
+    """Return the recorded acceleration of an end that drives a component: of its axis, or else of that without a name.
+
+    Where neither is recorded it is that of its axis.
+    """
+    own, plain = acceleration_name(end, component), f"{end}_acceleration"
+    return plain if own not in recorded and plain in recorded else own
+
+
+def other_end(ground: str) -> str:
+    """Return the channel of the live end's acceleration along the same axis as an acceleration of the ground end."""
+    return f"live{ground.removeprefix('ground')}"

@@ -23,7 +23,7 @@ from aerobalance.estimation.force import estimate_force, force_record
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import STANDARD_GRAVITY, acceleration_name
+from aerobalance.recording.components import STANDARD_GRAVITY, driving_channel
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.gravity import gravity_share
 from aerobalance.recording.progress import PROGRESS
@@ -151,8 +151,7 @@ def accelerometer_correction(
     A dc-coupled accelerometer reads x2'' - g sin(theta), so that the weight is in its reading already.
     """
     balance = _balance(dynamics)
-    name = acceleration_name("live", balance.component)
-    name = name if name in recording else "live_acceleration"
+    name = driving_channel("live", balance.component, recording)
     channel = recording.channel(name)
     load = recording.channel(dynamics.component)
     lag = balance.delay + load.delay - channel.delay

@@ -6,6 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, Literal, cast
 
+import numpy as np
+
 from aerobalance.app.commands.answers import quantities, quantity_table, rounded, short
 from aerobalance.app.commands.balance_files import BalanceFiles
 from aerobalance.app.commands.doubts import doubt_result
@@ -220,7 +222,7 @@ def _dwell_details(recording: Recording, dynamics: Dynamics) -> Result:
         fits = {
             phase: reference_fit(dwells, mass=dynamics.mass, phase=phase)
             for phase in PHASES
-            if phase == "relative" or "live_acceleration" in recording
+            if phase == "relative" or all(np.isfinite(dwell.live) for dwell in dwells)
         }
     except FitError as problem:
         return {"dwells": [], "reference": {"method": "(13)-(16)", "failed": str(problem)}}

@@ -13,7 +13,7 @@ from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.estimation.live.platform import LiveChannel, LivePlatform
 from aerobalance.motion.sensors import sensor_kind
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.components import acceleration_name, si_unit
+from aerobalance.recording.components import driving_channel, si_unit
 from aerobalance.recording.noise import noise_covariance
 from aerobalance.recording.resampling import hold_over_gaps
 
@@ -119,8 +119,7 @@ class Columns:
         sensors = [one for one in channels if sensor_kind(one.name) is not None]
         along = int(np.count_nonzero(dynamics.moved_by)) == 1  # of one alone, by what it is moved by
         if along:
-            name = acceleration_name("ground", components[0])
-            one = by_name.get(name, by_name.get("ground_acceleration"))
+            one = by_name.get(driving_channel("ground", components[0], by_name))
             sensors = [] if one is None else [one]
         platform = LivePlatform.along(components[0], sensors[0]) if along and sensors else LivePlatform.of(sensors)
         angles = [name for name in ("pitch", "roll") if name in by_name and "pitch" in by_name]

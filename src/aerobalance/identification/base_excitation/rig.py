@@ -25,6 +25,7 @@ from aerobalance.identification.base_excitation.live_check import LiveCheck, liv
 from aerobalance.identification.base_excitation.maximum_likelihood import HIGHEST, Estimate, maximise
 from aerobalance.identification.base_excitation.spectra import excited, transform
 from aerobalance.recording.channel import Array
+from aerobalance.recording.components import driving_channel
 from aerobalance.recording.errors import FitError, argument, warn_quality
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.wording import damping_text, share_text
@@ -124,8 +125,9 @@ def identify_rig(
     Parameters
     ----------
     recording
-        Recording with the load, `ground_acceleration` and, for a check, `live_acceleration`. Delays that the channels
-        carry are removed first; the delay found is what is left.
+        Recording with the load, the acceleration of the ground end along it (`ground_acceleration_z` for NF, `_y` for
+        SF; else `ground_acceleration`) and, for a check, that of the live end of the same ending. Delays that the
+        channels carry are removed first; the delay found is what is left.
     component
         The load channel.
     mass
@@ -153,7 +155,8 @@ def identify_rig(
         raise ValueError(f"band must be two frequencies in rising order, not {band}")
     spectra = excited(transform(recording, component), band=band, name=recording.name)
     problem = Problem(spectra=spectra, mass=value, delay=delay)
-    gains = [recording.channel(name).relative_uncertainty for name in (component, "ground_acceleration")]
+    ground = driving_channel("ground", component, recording)
+    gains = [recording.channel(name).relative_uncertainty for name in (component, ground)]
     gain = float(np.linalg.norm(gains))
     looseness = 0.0 if value is None else float(np.hypot(uncertainty / value, gain))
     fitted = _described(problem, modes, name=recording.name, fixed_band=band is not None, looseness=looseness)

@@ -13,7 +13,8 @@ from scipy.special import chdtrc
 
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.identification.base_excitation.spectra import Complex
-from aerobalance.recording.channel import Array
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.components import driving_channel, other_end
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
 
@@ -124,7 +125,8 @@ def find_dwells(recording: Recording, *, component: str = "AF") -> tuple[Dwell, 
     Parameters
     ----------
     recording
-        Recording with the load, `ground_acceleration` and, optionally, `live_acceleration`.
+        Recording with the load, the acceleration of the ground end along it (`ground_acceleration_z` for NF, `_y` for
+        SF; else `ground_acceleration`) and, optionally, that of the live end of the same ending.
     component
         The load channel.
 
@@ -138,15 +140,18 @@ def find_dwells(recording: Recording, *, component: str = "AF") -> tuple[Dwell, 
     FitError
         The record holds no frequency long enough.
     """
-    names = [component, "ground_acceleration"] + ["live_acceleration"] * ("live_acceleration" in recording)
-    columns = {name: recording.channel(name).values for name in names}
-    for name, values in columns.items():
-        if not np.isfinite(values).all():
-            raise FitError(f"{recording.name}: channel {name} has missing samples; dwells need a record without gaps")
-        if name != "live_acceleration" and np.ptp(values) == 0:
-            raise FitError(f"{recording.name}: channel {name} does not change; the ground end must be shaken")
-    stretches = _steady_stretches(columns[component], recording.rate)
-    dwells = [_fit_dwell(columns, component=component, stretch=stretch, rate=recording.rate) for stretch in stretches]
+    ground = driving_channel("ground", component, recording)
+    live = other_end(ground)
+    channels = [recording.channel(name) for name in (component, ground, *([live] if live in recording else []))]
+    for channel in channels:
+        if not np.isfinite(channel.values).all():
+            raise FitError(
+                f"{recording.name}: channel {channel.name} has missing samples; dwells need a record without gaps"
+            )
+        if channel.name != live and np.ptp(channel.values) == 0:
+            raise FitError(f"{recording.name}: channel {channel.name} does not change; the ground end must be shaken")
+    stretches = _steady_stretches(channels[0].values, recording.rate)
+    dwells = [_fit_dwell(channels, stretch=stretch, rate=recording.rate) for stretch in stretches]
     found = tuple(dwell for dwell in dwells if dwell is not None)
     if not any(dwell.steady for dwell in found):
         raise FitError(
@@ -194,7 +199,7 @@ def harmonic_check(
 
 def _driven(recording: Recording, dynamics: Dynamics) -> Array:
     """Load that the full dynamics give for the measured ground acceleration, from rest, shape (n,)."""
-    ground = recording.channel("ground_acceleration").values
+    ground = recording.channel(driving_channel("ground", dynamics.component, recording)).values
     memory = int(recording.rate * min(20 / max(dynamics.decay_rate, 1e-9), recording.duration))
     length = next_fast_len(ground.size + memory, real=True)
     response = dynamics.base_response(rfftfreq(length, 1 / recording.rate))
@@ -344,10 +349,11 @@ def _refined(values: Array, frequency: float, *, start: int, rate: float) -> tup
     return frequency, uncertainty
 
 
-def _fit_dwell(
-    columns: dict[str, Array], *, component: str, stretch: tuple[int, int, float], rate: float
-) -> Dwell | None:
-    """Fit one dwell from the first time on at which it is steady, or from half of it on if it never is."""
+def _fit_dwell(channels: list[Channel], *, stretch: tuple[int, int, float], rate: float) -> Dwell | None:
+    """Fit one dwell from the first time on at which it is steady, or from half of it on if it never is.
+
+    The channels are the load, the ground's acceleration and, where it is recorded, the live end's.
+    """
     first, stop, guess = stretch
     stop -= max(1, round(0.02 * (stop - first)))
     attempts = []
@@ -355,39 +361,40 @@ def _fit_dwell(
         start = first + round(share * (stop - first))
         if (stop - start) * guess / rate < 8 or stop - start < 64:
             break
-        attempts.append(_fit_part(columns, component=component, part=(start, stop, guess), rate=rate))
+        attempts.append(_fit_part(channels, part=(start, stop, guess), rate=rate))
         if attempts[-1].steady:
             break
     return attempts[-1] if attempts else None
 
 
-def _fit_part(columns: dict[str, Array], *, component: str, part: tuple[int, int, float], rate: float) -> Dwell:
+def _fit_part(channels: list[Channel], *, part: tuple[int, int, float], rate: float) -> Dwell:
     """Fit frequency and complex amplitudes of one stretch and judge its steadiness."""
     start, stop, guess = part
     window = slice(start, stop)
-    frequency, u_frequency = _refined(columns[component][window], guess, start=start, rate=rate)
-    amplitudes: dict[str, complex] = {"live_acceleration": complex("nan")}
-    uncertainties = {"live_acceleration": float("nan")}
+    frequency, u_frequency = _refined(channels[0].values[window], guess, start=start, rate=rate)
+    fitted: list[tuple[complex, float]] = []
     drift, steady = 0.0, True
-    for name, values in columns.items():
-        amplitude, deviation = _sine(values[window], frequency, start=start, rate=rate)
-        scatter, beyond, noise = _drift(values[window], frequency, start=start, rate=rate)
-        amplitudes[name] = amplitude
-        uncertainties[name] = max(noise, 0.0) * float(np.sqrt(2 / (stop - start))) if noise > 0 else deviation
-        if name != "live_acceleration":
+    for place, channel in enumerate(channels):
+        values = channel.values[window]
+        amplitude, deviation = _sine(values, frequency, start=start, rate=rate)
+        scatter, beyond, noise = _drift(values, frequency, start=start, rate=rate)
+        u = max(noise, 0.0) * float(np.sqrt(2 / (stop - start))) if noise > 0 else deviation
+        fitted.append((amplitude, u))
+        if place < 2:  # the live end's is a check
             drift = max(drift, scatter)
             steady &= not beyond
+    (load, u_load), (ground, u_ground), (live, u_live) = (*fitted, (complex("nan"), float("nan")))[:3]
     return Dwell(
         start=start,
         stop=stop,
         frequency=frequency,
         u_frequency=u_frequency,
-        load=amplitudes[component],
-        u_load=uncertainties[component],
-        ground=amplitudes["ground_acceleration"],
-        u_ground=uncertainties["ground_acceleration"],
-        live=amplitudes["live_acceleration"],
-        u_live=uncertainties["live_acceleration"],
+        load=load,
+        u_load=u_load,
+        ground=ground,
+        u_ground=u_ground,
+        live=live,
+        u_live=u_live,
         drift=drift,
         steady=steady,
     )

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from scipy.fft import rfft, rfftfreq
 
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.components import STANDARD_GRAVITY, driving_axis, driving_channel, other_end
 from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.fourier import without_line
+from aerobalance.recording.gravity import gravity_share
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import interpolate_gaps_linearly
 
@@ -65,7 +66,7 @@ class Spectra:
     load
         Transform of the load, known delay removed, shape (m,).
     ground
-        Transform of the ground's specific force x1'' - g sin(pitch), shape (m,) [m/s^2].
+        Transform of the ground's specific force along the component, shape (m,) [m/s^2]; x1'' - g sin(pitch) for AF.
     live
         Transform of the live end's acceleration likewise, or None.
     load_noise, ground_noise
@@ -131,18 +132,21 @@ def transform(recording: Recording, component: str) -> Spectra:
     FitError
         A channel is missing, constant, or too short.
     """
-    load, ground = recording.channel(component), recording.channel("ground_acceleration")
-    columns = _columns(recording, load, ground)
+    load, ground = recording.channel(component), recording.channel(driving_channel("ground", component, recording))
+    live_name = other_end(ground.name)
+    columns = _columns(recording, load, ground, live_name)
     samples = columns[load.name].size
     frequency = rfftfreq(samples, 1 / recording.rate)
     spectra = {name: rfft(without_line(values)) / np.sqrt(samples) for name, values in columns.items()}
     weight = np.zeros(frequency.size, dtype=np.complex128)
-    if "pitch" in columns:
-        weight = STANDARD_GRAVITY * rfft(without_line(np.sin(columns["pitch"]))) / np.sqrt(samples)
+    if "pitch" in columns or "roll" in columns:
+        level = np.zeros(samples)
+        share = gravity_share(component, pitch=columns.get("pitch", level), roll=columns.get("roll", level))
+        weight = STANDARD_GRAVITY * rfft(without_line(share)) / np.sqrt(samples)
     noise = {c.name: c.noise**2 if c.noise else _floor(columns[c.name]) for c in (load, ground)}
     live = None
-    if "live_acceleration" in columns and np.ptp(columns["live_acceleration"]) > 0:
-        live = _specific_force(recording.channel("live_acceleration"), spectra, frequency, weight)
+    if live_name in columns and np.ptp(columns[live_name]) > 0:
+        live = _specific_force(recording.channel(live_name), spectra, frequency, weight)
     inside = slice(1, (samples + 1) // 2)
     spectrum = Spectra(
         frequency=frequency[inside],
@@ -159,9 +163,11 @@ def transform(recording: Recording, component: str) -> Spectra:
     return _capped(spectrum, (bool(load.noise), bool(ground.noise)))
 
 
-def _columns(recording: Recording, load: Channel, ground: Channel) -> dict[str, Array]:
+def _columns(recording: Recording, load: Channel, ground: Channel, live: str) -> dict[str, Array]:
     """Take the longest usable stretch of the channels that are needed, short gaps bridged."""
-    used = [load, ground] + [recording.channel(name) for name in ("live_acceleration", "pitch") if name in recording]
+    # roll turns no weight along aft, so that its gaps do no harm there
+    names = (live, "pitch") if driving_axis(load.name) == "aft" else (live, "pitch", "roll")
+    used = [load, ground] + [recording.channel(name) for name in names if name in recording]
     whole = longest_whole(recording, used)
     columns = {channel.name: interpolate_gaps_linearly(channel.values[whole]) for channel in used}
     for channel in (load, ground):
@@ -266,7 +272,7 @@ def _high_pass(channel: Channel, frequency: Array) -> tuple[Complex, Array]:
 
 
 def _specific_force(channel: Channel, spectra: dict[str, Complex], frequency: Array, weight: Complex) -> Complex:
-    """Transform of x'' - g sin(pitch) from an accelerometer of any coupling."""
+    """Transform of x'' less gravity along the axis, from an accelerometer of any coupling."""
     reading = _aligned(spectra[channel.name], frequency, channel.delay) / _high_pass(channel, frequency)[0]
     return reading if channel.coupling == "dc" else reading - weight
 

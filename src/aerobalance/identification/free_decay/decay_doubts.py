@@ -10,7 +10,7 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.identification.free_decay.law import AmplitudeLaw
 from aerobalance.identification.free_decay.waveform import Ring
 from aerobalance.identification.free_decay.window import COLOURED, Account
-from aerobalance.recording.components import si_unit
+from aerobalance.recording.components import driving_channel, si_unit
 from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import argument
 from aerobalance.recording.noise import channel_noise
@@ -163,9 +163,10 @@ def _at_two(law: AmplitudeLaw, name: str) -> str:
 
 def _moving_ground(ring: Ring, dynamics: Dynamics, recording: Recording) -> list[Doubt]:
     """What the ground's motion after the release does."""
-    if "ground_acceleration" not in recording:
+    name = driving_channel("ground", dynamics.component, recording)
+    if name not in recording:
         return []
-    ground = recording.channel("ground_acceleration")
+    ground = recording.channel(name)
     after = ground.values[int(np.ceil(ring.start * recording.rate)) :]
     after = after[np.isfinite(after)]
     moving = np.sqrt(max(float(np.var(after)) - 1.25 * channel_noise(ground) ** 2, 0.0)) if after.size else 0.0
