@@ -254,6 +254,21 @@ def _shaken(rng: np.random.Generator, *, gain: float = 1.0) -> ab.Recording:
     )
 
 
+@pytest.mark.parametrize("component", ["NF", "SF"])
+def test_a_shaker_tells_a_force_across_as_it_does_that_along(component, rng):
+    shaken = _shaken(rng)
+    load = replace(shaken.channel("AF"), name=component)
+    force = {"impact_force": shaken.channel("impact_force")}
+    across = replace(shaken, channels=force | {component: load})
+    found = quietly(across, components=[component], mass=MASS)
+    assert found.dynamics.component == component
+    assert np.array_equal(found.dynamics.values, _one(shaken).dynamics.values)
+    gaps = np.arange(shaken.samples) % 200 < 10
+    torn = replace(across, channels=force | {component: replace(load, values=np.where(gaps, np.nan, load.values))})
+    with pytest.raises(FitError, match=f"usable in all of {component}, impact_force;"):
+        quietly(torn, components=[component], mass=MASS)
+
+
 def test_a_gain_of_the_shakers_force_is_named_and_does_no_harm(rng):
     found = _one(_shaken(rng, gain=1.1))
     assert [doubt.kind for doubt in found.doubts] == ["force gain"]

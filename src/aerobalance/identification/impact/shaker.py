@@ -18,7 +18,6 @@ from aerobalance.identification.impact.tap_doubts import FROM_DAMPING
 from aerobalance.identification.impact.tap_point import U_GAIN, TapPoint, fit_point
 from aerobalance.identification.impact.tap_result import ImpactFit, Taps
 from aerobalance.recording.channel import IMPACT_FORCE, Channel
-from aerobalance.recording.components import acceleration_name
 from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import DataQualityWarning, FitError, warn_quality
 from aerobalance.recording.recording import Recording
@@ -120,7 +119,7 @@ def _either_sign(
     first = _sign_of(recording, component, lever)
     for sign in (first, -first):
         values = -sign * lever * recording.channel(IMPACT_FORCE).values
-        name = acceleration_name("ground", component)
+        name = "ground_acceleration"  # of no axis: the force drives any component as the ground does
         noise = recording.channel(IMPACT_FORCE).noise
         moved = Channel(name, values, "m/s^2", noise=None if noise is None else abs(lever) * noise)
         made = Recording.from_columns(
