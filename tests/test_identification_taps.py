@@ -88,6 +88,7 @@ def test_the_force_is_held_against_the_balance(rng):
         (Hammer(noise=1.0, delay=1e-4), "force delay"),
         (Hammer(noise=1.0, gain=1.1), "force gain"),
         (Hammer(noise=1.0, gain=-1.0), "force sign"),
+        (Hammer(noise=1.0, gain=-1.1), "force sign"),
         (Hammer(noise=1.0, limit=2000.0), "clipped force"),
     ],
 )
@@ -98,6 +99,11 @@ def test_a_faulty_force_is_named_and_does_no_harm(rng, hammer, kind):
     assert [doubt.kind for doubt in found.doubts] == [kind]
     assert found.doubts[0].effect == 0
     assert found.verdict == "fit for use"
+    if abs(hammer.gain) != 1:  # the channel reads 1.1 N for 1 N: the force is 0.909 of what it reads
+        stated = float(found.doubts[0].text.split(" (u =")[0].split()[-1])
+        assert "times its reading as the balance shows it" in found.doubts[0].text
+        # five standard deviations, and half a unit of the four digits that are told
+        assert abs(stated - 1 / abs(hammer.gain)) < 5 * found.taps.gain[1] + 5e-5
     assert np.max(np.abs(_z(found))) < 5
     if kind == "force delay":
         assert abs(found.taps.delay[0] - 1e-4) < 5 * found.taps.delay[1]

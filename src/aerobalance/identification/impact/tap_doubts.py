@@ -182,12 +182,9 @@ def _scale(told: Sequence[tuple[int, Point, LoadsFound]]) -> tuple[float, float]
 def _scale_text(scale: float, u_scale: float, u_gain: float, *, one: bool) -> tuple[str, str]:
     """Kind and text of a force whose channel has another gain or sign."""
     where = ", or the point is another" if one else ""
-    size = f"{abs(scale):.4g} (u = {u_scale:.1g}) times what the balance shows of it"
+    size = f"{abs(scale):.4g} (u = {u_scale:.1g}) times its reading as the balance shows it"
     if scale < 0:
-        return (
-            "force sign",
-            f"the force has the other sign, and its reading is {1 / abs(scale):.4g} times the force{where}",
-        )
+        return "force sign", f"the force has the other sign, and is {size}{where}"
     text = (
         f"the force is {size}; its gain was taken to be known to {percent_text(u_gain, most=1.0)}{where}; the "
         "balance's own calibration is taken"
