@@ -13,6 +13,7 @@ from aerobalance.dynamics.coupled import CoupledDynamics, ModalForm
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.identification.coupled.least_squares import motion_of
+from aerobalance.identification.impact.tap_doubts import damping_hardly_told
 from aerobalance.identification.impact.tap_model import Common, Point, Tap, linearise_tap
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.simulation.drives import band_noise
@@ -281,6 +282,28 @@ def test_a_gain_of_the_shakers_force_is_named_and_does_no_harm(rng):
     gain, u = found.taps.gain
     assert abs(gain * 1.1 - 1) < 6 * u < 0.01
     assert np.max(np.abs(_z(found))) < 5
+
+
+def test_a_damping_that_a_shaker_hardly_tells_is_doubted_in_its_own_figures(rng):
+    """A push up to 0.6 of the resonance that leaves u = 168 of 829 N*s/m: five of it from none and from a tenth."""
+    mode, rate = Mode(66.0, 0.01), 1000.0
+    known = np.random.default_rng(9)
+    push = band_noise(known, low=2.0, high=40.0, rms=60.0, period=17.0)(np.arange(16000) / rate)
+    load = mode.driven(push, interval=1 / rate)[0] + rng.normal(0, 2, push.size)
+    columns = {"AF": load, "impact_force": push + rng.normal(0, 0.5, push.size)}
+    found = quietly(ab.Recording.from_arrays(np.arange(16000) / rate, columns), components=["AF"], mass=100.0)
+    relative = found.dynamics.uncertainty("damping") / found.dynamics.damping
+    assert relative > 0.1
+    (doubt,) = found.doubts
+    assert (doubt.kind, doubt.component) == ("damping hardly told", "AF")
+    assert doubt.effect == relative
+    assert found.verdict == ("not usable" if relative > 0.5 else "doubtful")
+    assert not [text for text in found.notes if "hardly identifiable here" in text]
+    assert abs(found.dynamics.damping - 829.4) < 5 * found.dynamics.uncertainty("damping")
+    none = replace(found.dynamics, damping=0.0)
+    (doubt,) = damping_hardly_told(none, "the record", "")
+    assert doubt.effect is None
+    assert replace(found, dynamics=none, taps=replace(found.taps, doubts=(doubt,))).verdict == "doubtful"
 
 
 def test_a_shaker_that_tells_nothing_is_refused(rng):

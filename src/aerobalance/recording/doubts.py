@@ -36,7 +36,7 @@ KINDS: Final[Mapping[str, str]] = {
     "driving force": "a force acts on the balance while it rings down",
     "amplitude dependence": "damping or frequency change with the amplitude of the ringing",
     "close modes": "two modes lie so close to each other that their ringing beats",
-    "damping hardly told": "the ringing tells the damping to no better than a tenth",
+    "damping hardly told": "the record tells the damping to no better than a tenth",
     "record cut": "a part of the record does not go with the ringing and is left out",
     "moving ground": "the ground end moves while the balance rings down",
     "double hit": "the hammer touched the model twice in one blow",

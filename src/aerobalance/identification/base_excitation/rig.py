@@ -369,6 +369,18 @@ def _dynamics(
     return dynamics
 
 
+def damping_note(dynamics: Dynamics) -> str:
+    """Return the note that a record hardly tells the damping; empty where it does."""
+    u = dynamics.uncertainty("damping")
+    if u <= SETTINGS.doubtful_damping * dynamics.damping:
+        return ""
+    critical = 2 * dynamics.mass * 2 * np.pi * dynamics.natural_frequency
+    return (
+        f"the damping is hardly identifiable here ({damping_text(dynamics.damping, u, critical=critical)}); forces "
+        "near the natural frequency inherit this uncertainty, slow forces do not"
+    )
+
+
 def _notes(
     dynamics: Dynamics, estimate: Estimate, *, problem: Problem, live: LiveCheck | None, component: str
 ) -> list[str]:
@@ -382,13 +394,8 @@ def _notes(
         )
     u = dynamics.uncertainty("damping")
     correlation = float(abs(dynamics.covariance[2, 3]) / max(u * dynamics.uncertainty("delay"), 1e-300))
-    if u > SETTINGS.doubtful_damping * dynamics.damping:
-        critical = 2 * dynamics.mass * 2 * np.pi * dynamics.natural_frequency
-        damping = damping_text(dynamics.damping, u, critical=critical)
-        notes.append(
-            f"the damping is hardly identifiable here ({damping}); forces near the "
-            "natural frequency inherit this uncertainty, slow forces do not"
-        )
+    if hardly := damping_note(dynamics):
+        notes.append(hardly)
     elif problem.delay is None and correlation > SETTINGS.doubtful_correlation:
         notes.append(
             f"damping and delay are hardly told apart here (correlation {correlation:.3f}), so the damping is hardly "

@@ -13,8 +13,8 @@ from typing import Final, Literal
 import numpy as np
 
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.identification.base_excitation.rig import RigFit, identify_rig
-from aerobalance.identification.impact.tap_doubts import FROM_DAMPING
+from aerobalance.identification.base_excitation.rig import RigFit, damping_note, identify_rig
+from aerobalance.identification.impact.tap_doubts import FROM_DAMPING, damping_hardly_told
 from aerobalance.identification.impact.tap_point import U_GAIN, TapPoint, fit_point
 from aerobalance.identification.impact.tap_result import ImpactFit, Taps
 from aerobalance.recording.channel import IMPACT_FORCE, Channel
@@ -92,6 +92,9 @@ def identify_shaker(
     u_stated = float(np.hypot(channel.relative_uncertainty or U_GAIN, np.linalg.norm(loads.root) / abs(lever)))
     doubts = _doubts(gain, u_gain, u_stated, component)
     dynamics = _with_mass(rig, mass)
+    # that note has the damping of the fit, whose mass is the gain; the doubt has the damping found
+    said = [text for text in said if text != damping_note(rig)]
+    doubts += damping_hardly_told(dynamics, "the record", "push nearer to the natural frequency, or for longer")
     told = [*map(str, doubts), *said]
     for text in told:
         warn_quality(f"{recording.name}: {text}")

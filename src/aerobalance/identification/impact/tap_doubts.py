@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 from scipy.special import chdtrc
 
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.identification.coupled.combinations import pairs
 from aerobalance.identification.coupled.least_squares import whitener_of
 from aerobalance.identification.impact.tap_fit import TapFit
@@ -28,6 +29,10 @@ LATE: Final = 0.02
 
 FROM_DAMPING: Final = 1.0
 """Effect from which it is not told as a figure."""
+
+
+DOUBTFUL: Final = 0.1
+"""Relative standard uncertainty of the damping above which it is called hardly told."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,6 +234,16 @@ def late_force(fit: TapFit, *, rate: float, u_delay: float, delay: float, compon
     )
     advice = "measure both through filters of one kind, or state the delay in the channel map"
     return [Doubt("force delay", component, text, advice, 0.0, "1")]
+
+
+def damping_hardly_told(dynamics: Dynamics, teller: str, advice: str) -> list[Doubt]:
+    """Return the doubt that what tells the damping, in words, hardly does so."""
+    u, damping = dynamics.uncertainty("damping"), dynamics.damping
+    if u <= DOUBTFUL * damping:
+        return []
+    relative = u / damping if damping else None
+    text = f"{teller} tells the damping to {100 * relative:.2g} % only" if relative else f"{teller} shows no damping"
+    return [Doubt("damping hardly told", dynamics.component, text, advice, relative, "1")]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -122,7 +122,8 @@ class ImpactFit:
     @property
     def verdict(self) -> Verdict:
         """Whether the dynamics may be used, by what is doubted."""
-        relative = self.dynamics.uncertainty("damping") / self.dynamics.damping
+        damping = self.dynamics.damping
+        relative = self.dynamics.uncertainty("damping") / damping if damping else np.inf
         return verdict_of(self.doubts, {self.dynamics.component: Size(relative, 1.0, 1.0)})
 
 

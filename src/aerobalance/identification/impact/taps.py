@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -26,6 +26,7 @@ from aerobalance.identification.coupled.units import Units, dynamics_of
 from aerobalance.identification.impact.shaker import identify_shaker, is_shaken
 from aerobalance.identification.impact.tap_account import account_of, excitation_of_taps
 from aerobalance.identification.impact.tap_doubts import (
+    damping_hardly_told,
     judged_points,
     left_out,
     missing_mode,
@@ -361,20 +362,11 @@ def _single(found: _Found, component: str, mass: float | tuple[float, float] | N
     coupled = dynamics_of(found.fit.common.matrices, found.fit.information, found.units, (component,))
     dynamics = one_component(coupled, value, u_mass)
     doubts = list(found.taps.doubts)
-    relative = dynamics.uncertainty("damping") / dynamics.damping
-    if relative > DOUBTFUL:
-        text = f"the ringing tells the damping to {100 * relative:.2g} % only"
-        doubts.append(
-            Doubt("damping hardly told", component, text, "tap more strongly, or record for longer", relative, "1")
-        )
+    doubts += damping_hardly_told(dynamics, "the ringing", "tap more strongly, or record for longer")
     notes = [*map(str, doubts)]
     for note in notes:
         warn_quality(note)
     return ImpactFit(dynamics, replace(found.taps, doubts=tuple(doubts)), tuple(notes))
-
-
-DOUBTFUL: Final = 0.1
-"""Relative standard uncertainty of the damping above which it is called hardly told."""
 
 
 def _coupled(
