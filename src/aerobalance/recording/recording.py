@@ -342,7 +342,7 @@ class Recording:
             extent=Extent(begun + begin * span / last, begun + (end - 1) * span / last, dict(self._means)),
         )
 
-    def __contains__(self, name: str) -> bool:
+    def __contains__(self, name: object) -> bool:
         return name in self.channels
 
     def __iter__(self) -> Iterator[Channel]:
