@@ -339,11 +339,22 @@ class BalanceRecord(ABC):
         model
             Another model in the place of the component's own.
         """
-        channel, decoupled = self.channels[on_clock_of], self.decoupled[place]
+        decoupled = self.decoupled[place] if model is None else replace(self.decoupled[place], dynamics=model)
+        return decoupled.reading(self.without_ground(filled, on_clock_of=on_clock_of), interval=self.interval)
+
+    def without_ground(self, filled: Array, *, on_clock_of: int) -> Array:
+        """Return all readings at the instants of a component's channel less the ground's load, (samples, n) [N, N*m].
+
+        Parameters
+        ----------
+        filled
+            The readings without gaps, as in `component_records`.
+        on_clock_of
+            Row of the component.
+        """
+        channel = self.channels[on_clock_of]
         own = align_channels(filled, self.channels, to=channel, interval=self.interval)
-        ground = fractional_delay(self.from_ground, delay=channel.delay, interval=self.interval)
-        decoupled = decoupled if model is None else replace(decoupled, dynamics=model)
-        return decoupled.reading(own - ground, interval=self.interval)
+        return own - fractional_delay(self.from_ground, delay=channel.delay, interval=self.interval)
 
     @abstractmethod
     def component_record(
