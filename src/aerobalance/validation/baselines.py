@@ -114,7 +114,7 @@ ZERO_PHASE: Final = "no delay; the record is continued by odd reflection at its 
 
 def raw_reading(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
     """Take the balance load for the force, less the weight where the pitch is known."""
-    load = recording.channel(dynamics.component).values
+    load = _load(recording, dynamics)
     weight = _weight(recording, dynamics, settings)
     words = "as read" if weight is None else "as read, less the weight"
     return BaselineEstimate("raw reading", load - (0.0 if weight is None else weight), words, "no delay")
