@@ -16,7 +16,7 @@ from aerobalance.recording.channel import QUANTITIES, Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
-from aerobalance.simulation import CableCut, Sensor
+from aerobalance.simulation import CableCut, Sensor, band_noise
 from helpers.cable_cut import T128
 
 RATE = 1600.0
@@ -244,6 +244,23 @@ def test_channel_delay_counts_like_the_dynamics_delay():
     by_ground = record(AF=load, ground_acceleration=(ground, {"delay": -late, "noise": 1e-4}))
     for recording in (by_load, by_ground):
         assert rms(middle(estimate_force(recording, T128, bandwidth=100.0).only.values, 0.6)) < 0.3
+
+
+def test_a_load_read_before_the_moving_ground_counts_as_missing(rng):
+    """Of 12 samples the ground's motion was not recorded: the force of them is as uncertain as it is wrong."""
+    late, count = 12, 3200
+    ground = band_noise(rng, low=5, high=60, rms=2.0, period=10.0)(np.arange(count + late) / RATE)
+    whole = record(AF=np.zeros(count + late), ground_acceleration=(ground, {"noise": 1e-3}))
+    load = force_record(whole, T128).component_record("AF").from_ground + rng.normal(0, 2, count + late)
+    ground = ground + rng.normal(0, 1e-3, ground.size)
+    in_time = record(AF=(load[late:], {"noise": 2.0}), ground_acceleration=(ground[late:], {"noise": 1e-3}))
+    delayed = record(
+        AF=(load[:-late], {"noise": 2.0, "delay": late / RATE}), ground_acceleration=(ground[late:], {"noise": 1e-3})
+    )
+    sooner, later = (estimate_force(one, T128).only for one in (in_time, delayed))
+    assert np.max(np.abs(sooner.values) / sooner.uncertainty) < 6
+    assert np.max(np.abs(later.values) / later.uncertainty) < 6
+    assert later.uncertainty[0] > sooner.uncertainty[0]
 
 
 def test_smoother_bridges_missing_samples(rng):
