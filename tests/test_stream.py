@@ -22,7 +22,7 @@ from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.estimation.steps import Step
 from aerobalance.motion.single_axis import GroundMotion, load_from_ground
 from aerobalance.recording.errors import FitError
-from aerobalance.simulation import CableCut, Sensor
+from aerobalance.simulation import CableCut, Sensor, band_noise
 from helpers.butterworth import butterworth
 from helpers.cable_cut import T128
 
@@ -260,6 +260,21 @@ def test_ground_load_is_that_of_the_whole_record(delay, rng):
     assert load.size == n
     # the same sums in another order, kept for as long as the balance rings
     assert np.max(np.abs(load - expected)) < 2e-11 * np.max(np.abs(expected))
+
+
+def test_the_ground_before_the_first_sample_is_not_known(rng):
+    """Loads that are read 12 samples late tell of a motion that nothing has read: their force is that uncertain."""
+    late, count = 12, 4000
+    ground = band_noise(rng, low=5, high=60, rms=2.0, period=10.0)(np.arange(count + late) / RATE)
+    felt = load_from_ground(GroundMotion(ground), T128, rate=RATE) + rng.normal(0, NOISE, count + late)
+    channels = [LiveChannel("AF", noise=NOISE, delay=late / RATE), LiveChannel("ground_acceleration", noise=1e-3)]
+    live = LiveForce(T128, rate=RATE, channels=channels)
+    columns = {"AF": felt[:-late], "ground_acceleration": ground[late:] + rng.normal(0, 1e-3, count)}
+    parts = [
+        live.push({name: values[k : k + 100] for name, values in columns.items()})["AF"] for k in range(0, count, 100)
+    ]
+    force, uncertainty = (np.concatenate([getattr(part, what) for part in parts]) for what in ("force", "uncertainty"))
+    assert np.max(np.abs(force[:400] / uncertainty[:400])) < 6
 
 
 def test_ground_motion_is_taken_out(rng):
