@@ -105,10 +105,14 @@ class Columns:
         Raises
         ------
         ValueError
-            There is no channel of a component, or the non-metric end moves and the mass is not known.
+            There is no channel of a component, a channel stands there twice, or the non-metric end moves and the mass
+            is not known.
         """
         components = dynamics.components
         all_names = tuple(channel.name for channel in channels)
+        twice = [name for name in dict.fromkeys(all_names) if all_names.count(name) > 1]
+        if twice:
+            raise ValueError(f"{', '.join(twice)} stands twice among {', '.join(all_names)}: give each channel once")
         lacking = [name for name in components if name not in all_names]
         if lacking:
             raise ValueError(
