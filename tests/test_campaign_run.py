@@ -9,6 +9,7 @@ from aerobalance.app.campaign.definition import Axes, Placed, Pressure
 from aerobalance.app.campaign.reduction import RunSettings, frames_of, reduce_run
 from aerobalance.uncertainty.repeats import trend
 from helpers.axial_runs import RATE, run_of, spring
+from seeds import trials
 
 # a white load up to half the rate is more than the model of the force has been made for, which some records say
 pytestmark = pytest.mark.filterwarnings("ignore:.*depart from what the model:UserWarning")
@@ -29,7 +30,7 @@ def test_stiffness_and_damping_are_told_by_each_record(rng):
     # k = M w^2 and b = 2 M z w: a balance whose stiffness is 2 % higher, and its damping 1.5 times as large
     known = spring()
     other = spring(stiffness=1.02 * known.stiffness, damping=1.5 * known.damping)
-    found = [reduce_run(run_of(rng, samples=6400, dynamics=other), known).resonances[0] for _ in range(6)]
+    found = [reduce_run(run_of(rng, samples=6400, dynamics=other), known).resonances[0] for _ in range(trials(4, 6))]
     told = [one for one in found if one.stiffness is not None]
     assert len(told) >= 3
     of_k, of_b = trend_of([one.stiffness for one in told]), trend_of([one.damping for one in told])
