@@ -277,6 +277,23 @@ def test_the_ground_before_the_first_sample_is_not_known(rng):
     assert np.max(np.abs(force[:400] / uncertainty[:400])) < 6
 
 
+def test_a_declared_delay_of_the_pitch_is_taken_out_live(rng):
+    """20 ms at 1.3 Hz and 0.1 rad are 20 N rms of the weight."""
+    time, late = np.arange(8000) / RATE, 0.02
+
+    def pitch(at):
+        return 0.1 * np.sin(2 * np.pi * 1.3 * at)
+
+    # the gain of the balance differs from 1 by (1.3 / 66)^2 = 4e-4 at this frequency
+    load = T128.mass * 9.80665 * np.sin(pitch(time)) + rng.normal(0, NOISE, time.size)
+    live = LiveForce(T128, rate=RATE, channels=[LiveChannel("AF", noise=NOISE), LiveChannel("pitch", delay=late)])
+    columns = {"AF": load, "pitch": pitch(time - late)}
+    blocks = [{name: values[k : k + 100] for name, values in columns.items()} for k in range(0, time.size, 100)]
+    parts = [live.push(block)["AF"] for block in blocks]
+    force = np.concatenate([part.force for part in parts])
+    assert np.sqrt(np.mean(force[4000:] ** 2)) < NOISE
+
+
 def test_ground_motion_is_taken_out(rng):
     learned = second_order(density=5.0)
     readings, truth = drawn(rng, 6000, learned=learned)

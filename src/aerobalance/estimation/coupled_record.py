@@ -26,7 +26,7 @@ from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError, argument, warn_quality
 from aerobalance.recording.noise import noise_covariance
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.resampling import align_channels, fractional_delay, held_by_delay, interpolate_gaps
+from aerobalance.recording.resampling import align_channels, fractional_delay, interpolate_gaps
 from aerobalance.recording.sensors import corrected
 
 
@@ -101,12 +101,9 @@ class CoupledRecord(BalanceRecord):
         frequencies = [mode.natural_frequency for mode in dynamics.modes]
         check_clock(recording, "the slowest mode", channels=dynamics.components, frequencies=frequencies)
         platform = PlatformMotion.of(recording, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
-        lost = np.column_stack([channel.at_limit for channel in channels])
-        if np.ptp(platform.specific_force, axis=0).any():  # of what moves before it is read nothing is known
-            lags = [channel.delay - platform.delay for channel in channels]
-            count, interval = recording.samples, 1 / recording.rate
-            lost |= np.column_stack([held_by_delay(count, delay=lag, interval=interval) for lag in lags])
-        loads = np.where(lost, np.nan, np.column_stack([channel.values for channel in channels]))
+        interval = 1 / recording.rate
+        lost = [one.at_limit | platform.unread_at(one.delay, interval=interval) for one in channels]
+        loads = np.where(np.column_stack(lost), np.nan, np.column_stack([channel.values for channel in channels]))
         noise = noise_covariance(channels, interpolate_gaps(loads)) if noise is None else noise
         nothing, on_zero = np.zeros_like(loads), _weight_on_zero(platform, dynamics)
         made = cls(recording, dynamics, platform, channels, loads, noise, nothing, on_zero, ())

@@ -29,7 +29,7 @@ from aerobalance.motion.single_axis import GroundMotion, load_from_ground
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY, driving_channel
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.resampling import fractional_delay, held_by_delay
+from aerobalance.recording.resampling import fractional_delay
 from aerobalance.recording.sensors import corrected
 
 
@@ -84,22 +84,21 @@ class SingleRecord(ComponentRecord):
     @property
     def before_ground(self) -> NDArray[np.bool_]:
         """Where the load was read before or after the sensors of a ground that moves, for its delay, shape (n,)."""
-        if not np.ptp(self.motion.specific_force) > 0:
-            return np.zeros(self.recording.samples, dtype=bool)
-        return held_by_delay(self.recording.samples, delay=self._lag, interval=self.interval)
+        return self.motion.unread_at(self._load_delay, interval=self.interval)
 
     @property
     def motion_force(self) -> Array:
         """Force of the ground's motion on the moving mass at the load's sampling instants, shape (n,) [N]."""
         force = self.motion.force(self.dynamics.mass) + self.motion_error
-        if not self._lag or not force.any():
+        lag = self._load_delay - self.motion.delay
+        if not lag or not force.any():
             return force
-        return fractional_delay(force, delay=self._lag, interval=self.interval)
+        return fractional_delay(force, delay=lag, interval=self.interval)
 
     @property
-    def _lag(self) -> float:
-        """Time by which the load lags the ground's motion as it is recorded [s]."""
-        return self.dynamics.delay + self.recording.channel(self.dynamics.component).delay - self.motion.delay
+    def _load_delay(self) -> float:
+        """Time by which the load lags the clock, that of the balance included [s]."""
+        return self.dynamics.delay + self.recording.channel(self.dynamics.component).delay
 
     @property
     def rows(self) -> NDArray[np.intp]:

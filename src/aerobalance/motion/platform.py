@@ -12,10 +12,16 @@ from numpy.typing import NDArray
 from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.motion.at_rest import AT_REST, tones
 from aerobalance.motion.consistency import Effect, check_agreement
-from aerobalance.motion.gaps import GAP, filled
+from aerobalance.motion.gaps import GAP
 from aerobalance.motion.least_squares import GroundFit
 from aerobalance.motion.rotation import Turning
-from aerobalance.motion.sensors import driving_sensors, ground_sensors, motion_name, unseen
+from aerobalance.motion.sensors import (
+    driving_sensors,
+    ground_sensors,
+    motion_name,
+    on_clock_with_gaps,
+    unseen,
+)
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import (
     AXES,
@@ -31,6 +37,7 @@ from aerobalance.recording.components import (
 from aerobalance.recording.gravity import Gravity
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.resampling import held_by_delays
 from aerobalance.recording.sensors import corrected
 
 GAINS: Final = ("accelerometer gain", "turn sensor gain")
@@ -97,6 +104,8 @@ class PlatformMotion:
         the angles, and gravity, these less what they do in the zero of the loads; slopes have shape (n, 6).
     gravity_on_zero
         Gravity at the zero of the recording's loads, shape (6,) [m/s^2].
+    delays
+        Times by which its sensors, and the angles that move, lag the clock [s].
     """
 
     acceleration: Array
@@ -108,6 +117,7 @@ class PlatformMotion:
     assumptions: tuple[str, ...]
     unknowns: tuple[SystematicParameter, ...] = ()
     gravity_on_zero: Array = field(default_factory=lambda: np.zeros(len(COMPONENTS)))
+    delays: tuple[float, ...] = ()
 
     @classmethod
     def of(
@@ -161,6 +171,12 @@ class PlatformMotion:
         """
         return -self.specific_force @ mass.matrix.T - mass.turning_load(self.turn_rate)
 
+    def unread_at(self, delay: float, *, interval: float) -> NDArray[np.bool_]:
+        """Where a load that lags the clock by a delay [s] was read while a sensor of a moving ground was not, (n,)."""
+        moves = np.ptp(self.specific_force, axis=0).any()
+        lags = [delay - own for own in self.delays] if moves else []
+        return held_by_delays(len(self.specific_force), delays=lags, interval=interval)
+
 
 def driven_column(component: str) -> int:
     """Return the place among the components of the motion that drives a component taken alone."""
@@ -178,18 +194,21 @@ class _Gravity:
     noise: dict[str, float]
     assumptions: tuple[str, ...]
     gaps: dict[str, Array] = field(default_factory=dict)
+    delays: tuple[float, ...] = ()
 
     @classmethod
-    def of(cls, recording: Recording, gravity: float) -> _Gravity:
+    def of(cls, recording: Recording, gravity: float, *, delay: float) -> _Gravity:
+        """Take the angles as if they had a delay [s], that of the sensors."""
         nothing = np.zeros(recording.samples)
         if "pitch" not in recording:
             said = "pitch is not recorded and taken as constant; a constant weight is left out"
             return cls(np.broadcast_to(0.0, (recording.samples, 6)), gravity, {}, {}, {}, (said,))
         names = [name for name in ("pitch", "roll") if name in recording]
-        both = {name: filled(recording.channel(name)) for name in names}
+        both = {name: on_clock_with_gaps(recording, recording.channel(name), delay) for name in names}
         angles = {name: values for name, (values, _) in both.items()}
         pull = Gravity.of(angles["pitch"], angles.get("roll", nothing), gravity=gravity)
         noise = {name: channel_noise(recording.channel(name)) for name in names}
+        moving = [name for name in names if np.var(angles[name]) > AT_REST * noise[name] ** 2]
         return cls(
             pull.acceleration,
             gravity,
@@ -198,12 +217,8 @@ class _Gravity:
             noise,
             (),
             {name: gaps for name, (_, gaps) in both.items()},
+            tuple(recording.channel(name).delay for name in moving),
         )
-
-
-def _kinematic(fit: GroundFit, pull: _Gravity, samples: int) -> Array:
-    """Readings with gravity put back where the sensor reads specific force, shape (n, m)."""
-    return fit.readings(samples) + felt_of(fit, pull.acceleration)
 
 
 def felt_of(fit: GroundFit, pull: Array) -> Array:
@@ -228,6 +243,8 @@ class MotionRecord:
         Readings of the sensors with gravity put back, shape (n, m).
     along
         The one component whose motion is wanted; None for all.
+    delay
+        Time by which all of it lags the clock [s]: that of the first sensor, or of the pitch where there is none.
     """
 
     recording: Recording
@@ -235,14 +252,18 @@ class MotionRecord:
     pull: _Gravity
     readings: Array
     along: str | None
+    delay: float
 
     @classmethod
     def of(cls, recording: Recording, *, along: str | None, gravity: float) -> MotionRecord:
         """Take the sensors and angles of a corrected recording; the arguments are those of `PlatformMotion.of`."""
         sensors = ground_sensors(recording) if along is None else driving_sensors(recording, along)
-        pull = _Gravity.of(recording, gravity)
+        clock = sensors[0].channel if sensors else recording.channels.get("pitch")
+        delay = 0.0 if clock is None else clock.delay
+        pull = _Gravity.of(recording, gravity, delay=delay)
         fit = GroundFit.of(sensors, rate=recording.rate)
-        return cls(recording, fit, pull, _kinematic(fit, pull, recording.samples), along)
+        readings = fit.readings(recording.samples) + felt_of(fit, pull.acceleration)
+        return cls(recording, fit, pull, readings, along, delay)
 
     def solved(self, gravity_uncertainty: float) -> PlatformMotion:
         """The motion; local gravity has this standard uncertainty [m/s^2]."""
@@ -259,10 +280,11 @@ class MotionRecord:
             white_covariance=covariance + fit.white_covariance - fit.covariance,
             specific_force=found.motion - self.pull.acceleration if self.pull.angles else found.motion,
             turn_rate=found.rate,
-            delay=fit.sensors[0].channel.delay if fit.sensors else 0.0,
+            delay=self.delay,
             assumptions=(*said, *self._told(found)),
             unknowns=tuple(self._unknowns(fit, effects, known)),
             gravity_on_zero=self.recording.gravity_on_zero.acceleration,
+            delays=(*(sensor.channel.delay for sensor in fit.sensors), *self.pull.delays),
         )
 
     def at_rest(self) -> tuple[GroundFit, Array, Array, list[str]]:

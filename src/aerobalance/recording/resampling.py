@@ -112,10 +112,13 @@ def fractional_delay(series: Array, *, delay: float, interval: float) -> Array:
     return CubicSpline(np.arange(fine.shape[0]) / FINE, fine)(place)
 
 
-def held_by_delay(count: int, *, delay: float, interval: float) -> NDArray[np.bool_]:
-    """Where `fractional_delay` by a time [s] can only hold a series: more than a sample beyond its ends, (count,)."""
-    place = np.arange(count) - delay / interval
-    return (place < -1.0) | (place > count)
+def held_by_delays(count: int, *, delays: Sequence[float], interval: float) -> NDArray[np.bool_]:
+    """Where `fractional_delay` by any of some times [s] holds a series, over a sample beyond its ends, (count,)."""
+    held = np.zeros(count, dtype=bool)
+    for delay in delays:
+        place = np.arange(count) - delay / interval
+        held |= (place < -1.0) | (place > count)
+    return held
 
 
 def align_channels(loads: Array, channels: Sequence[Channel], *, to: Channel, interval: float) -> Array:

@@ -179,3 +179,16 @@ def high_pass(corner: float) -> Transfer:
         return np.asarray(1j * frequency / (1j * frequency + corner), dtype=np.complex128)
 
     return response
+
+
+def angles_of(recording: Recording, *, delay: float) -> tuple[Array, Array]:
+    """Pitch and roll as if they were read with a delay [s], gaps bridged by straight lines, (n,) each [rad]."""
+    angles = []
+    for name in ("pitch", "roll"):
+        if name not in recording:
+            angles.append(np.zeros(recording.samples))
+            continue
+        one = recording.channel(name)
+        values = interpolate_gaps_linearly(one.values)
+        angles.append(fractional_delay(values, delay=delay - one.delay, interval=1 / recording.rate))
+    return angles[0], angles[1]

@@ -29,7 +29,7 @@ from aerobalance.recording.components import MOMENTS
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.resampling import interpolate_gaps_linearly
+from aerobalance.recording.sensors import angles_of
 from aerobalance.validation.baselines import (
     THIS,
     ZERO_PHASE,
@@ -130,8 +130,7 @@ class _Component:
         load, whole, model = self.filled[:, self.place], self.record.recording, self.record.dynamics
         if not model.moved_by.any() or "pitch" not in whole:
             return BaselineEstimate("raw reading", load, "as read", "no delay")
-        pitch = interpolate_gaps_linearly(whole.channel("pitch").values)
-        roll = interpolate_gaps_linearly(whole.channel("roll").values) if "roll" in whole else np.zeros(pitch.size)
+        pitch, roll = angles_of(whole, delay=self.record.channels[self.place].delay)
         weight = model.weight(self.name, pitch=pitch, roll=roll, gravity=settings.gravity)
         return BaselineEstimate("raw reading", load - weight, "as read, less the weight", "no delay")
 

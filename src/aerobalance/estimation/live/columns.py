@@ -136,12 +136,11 @@ class Columns:
         n = len(components)
         names = (*components, *(one.name for one in sensors), *angles)
         own = by_name[components[0]].delay
-        delays = [by_name[name].delay - own for name in names[: n + len(sensors)]]
         return cls(
             all_names=all_names,
             names=names,
             places=[all_names.index(name) for name in names],
-            late=[*delays, *(0.0 for _ in angles)],
+            late=[by_name[name].delay - own for name in names],
             limits=np.array([by_name[name].limit for name in components]),
             platform=platform,
             specific=np.array([one.specific for one in sensors], dtype=np.bool_),
