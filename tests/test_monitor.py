@@ -265,6 +265,26 @@ def test_zero_leaves_the_weight() -> None:
     assert view.zeros()["AF"] == pytest.approx(0.0, abs=1e-9)
 
 
+def view_of_channels(*names: str, **more) -> View:
+    """A view of channels in SI at 1000 Hz, without dynamics unless some are given."""
+    channels = tuple(StoredChannel(name=name, unit=QUANTITIES[name]) for name in names)
+    return View(Panel(channels, 1000.0, True, more.pop("dynamics", NO_DYNAMICS), {}, more.pop("limits", {}), **more))
+
+
+def feed_constant(view: View, values, ticks: int, first: int) -> None:
+    view.feed(Block(first, np.tile(np.asarray(values, float), (ticks, 1)), (first + ticks) / 1000))
+
+
+def test_samples_less_the_zero_before_are_in_no_later_mean() -> None:
+    view = view_of_channels("AF")
+    feed_constant(view, [100.0], 100, 0)  # held for the numbers to come
+    view.set_zeros({"AF": 100.0})
+    feed_constant(view, [100.0], 100, 100)
+    feed_constant(view, [100.0], 100, 200)
+    assert view.take().readings["AF"].mean == 0.0
+    assert view.zeros() == {"AF": 100.0}
+
+
 def test_zero_under_a_weight_reads_curved_bridges_from_where_they_are(rng, seed) -> None:
     balance = replace(random_balance(seed), natural_zero=rng.uniform(-0.05, 0.05, 6))
     hung = rng.uniform(0.2, 0.5, 6) * balance.load_scale

@@ -166,22 +166,23 @@ class View:
         self._quiet = 0
         self._means: list[tuple[float, Array]] = []
         self._held_since = 0.0
-        self.set_zeros(panel.zeros)
         self._held: list[Array] = []
         self._held_rows = 0
-        self._estimates: dict[str, list[Array]] = {name: [] for name in self.lines}
+        self._estimates: dict[str, list[Array]] = {}
+        self.set_zeros(panel.zeros)
         self._since_spectra = 0
         self._saturated = dict.fromkeys(names, 0)
         self.update = Update(0, 0.0)
 
     def set_zeros(self, zeros: Mapping[str, float]) -> None:
-        """Take off other zeros from now on."""
+        """Take off other zeros from now on; the numbers to come are of samples from now on alone."""
         balance, given = self.panel.balance, dict(zeros)
         if balance is not None and balance.natural_zero is not None:
             natural = zip(balance.gauges, balance.natural_zero, strict=True)
             given = {f"r{gauge}": float(value) for gauge, value in natural} | given
         self._offsets[:] = [given.get(name, 0.0) for name in self.panel.names]
-        self._means = []
+        self._means, self._held, self._held_rows = [], [], 0
+        self._estimates = {name: [] for name in self.lines}
         for live, _ in self._streams:
             live.restart()
 
