@@ -285,29 +285,34 @@ def test_samples_less_the_zero_before_are_in_no_later_mean() -> None:
     assert view.zeros() == {"AF": 100.0}
 
 
-def test_zero_under_a_weight_reads_curved_bridges_from_where_they_are(rng, seed) -> None:
+@pytest.mark.parametrize("zeroed", [False, True], ids=["natural zeros", "zeros of the day in the set-up"])
+def test_zero_under_a_weight_reads_curved_bridges_from_where_they_are(rng, seed, zeroed) -> None:
     balance = replace(random_balance(seed), natural_zero=rng.uniform(-0.05, 0.05, 6))
+    empty = balance.natural_zero + (0.1 if zeroed else 0.0)
+    offsets = -1e3 * empty if zeroed else np.zeros(6)
     hung = rng.uniform(0.2, 0.5, 6) * balance.load_scale
     added = rng.uniform(-0.3, 0.3, 6) * balance.load_scale
-    channels = tuple(StoredChannel(name=f"r{name}", unit="uV/V") for name in balance.gauges)
+    given = zip(balance.gauges, offsets.tolist(), strict=True)
+    channels = tuple(StoredChannel(name=f"r{name}", unit="uV/V", offset=offset) for name, offset in given)
     view = View(Panel(channels, 1000.0, True, NO_DYNAMICS, {}, {}, balance=balance))
 
     def shown(native: np.ndarray) -> dict:
-        outputs = balance.outputs(np.tile(native, (400, 1))) + balance.natural_zero
+        outputs = balance.outputs(np.tile(native, (400, 1))) + empty
         view.feed(Block(400 * shown.blocks, 1e3 * outputs, 0.0))
         shown.blocks += 1
         return view.take().readings
 
     shown.blocks = 0
     for _ in range(3):
-        shown(hung)
+        readings = shown(hung)
+    for name, expected in zip(COMPONENTS, balance.direct @ hung, strict=True):
+        # the iteration ends at 1e-9 of capacity or below
+        assert readings[name].mean == pytest.approx(expected, rel=1e-6, abs=1e-4)
     view.set_zeros(view.zeros())
-    expected = balance.direct @ added
     for _ in range(3):
         readings = shown(hung + added)
-    for place, name in enumerate(COMPONENTS):
-        # the iteration ends at 1e-9 of capacity or below
-        assert readings[name].mean == pytest.approx(expected[place], rel=1e-6, abs=1e-4)
+    for name, expected in zip(COMPONENTS, balance.direct @ added, strict=True):
+        assert readings[name].mean == pytest.approx(expected, rel=1e-6, abs=1e-4)
 
 
 def test_loads_from_gauge_outputs(rng, seed) -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Final
 
@@ -150,7 +150,7 @@ class View:
         self.panel = panel
         names = panel.names
         self._conversions = [_conversion(channel) for channel in panel.channels]
-        self._gauges = [] if panel.balance is None else list(load_columns(panel.balance, panel.channels).columns)
+        self._gauges = None if panel.balance is None else load_columns(panel.balance, panel.channels)
         circuit = panel.circuit
         self._contact = circuit and ContactFinder(circuit.level, hold=circuit.hold, closed_above=circuit.closed_above)
         self._continuity = Continuity(panel.rate, clocked=panel.clocked)
@@ -176,10 +176,10 @@ class View:
 
     def set_zeros(self, zeros: Mapping[str, float]) -> None:
         """Take off other zeros from now on; the numbers to come are of samples from now on alone."""
-        balance, given = self.panel.balance, dict(zeros)
-        if balance is not None and balance.natural_zero is not None:
-            natural = zip(balance.gauges, balance.natural_zero, strict=True)
-            given = {f"r{gauge}": float(value) for gauge, value in natural} | given
+        given = dict(zeros)
+        if self._gauges is not None:
+            own = zip(self._gauges.balance.gauges, self._gauges.zeros.tolist(), strict=True)
+            given = {f"r{gauge}": zero for gauge, zero in own} | given
         self._offsets[:] = [given.get(name, 0.0) for name in self.panel.names]
         self._means, self._held, self._held_rows = [], [], 0
         self._estimates = {name: [] for name in self.lines}
@@ -210,9 +210,12 @@ class View:
         Curved bridges are read from where the weight has brought them: known along components whose force is worked
         out, and along the others by the distance from the natural zeros. The latter load counts from there.
         """
-        balance, loads = self.panel.balance, self.panel.loads
-        if balance is None:
+        gauges, loads = self._gauges, self.panel.loads
+        if gauges is None:
             return {}
+        balance = gauges.balance
+        if balance.natural_zero is not None:  # readings with an offset in the set-up count from that zero
+            balance = replace(balance, natural_zero=gauges.zeros)
         names = [f"r{gauge}" for gauge in balance.gauges]
         if not all(name in read for name in names):
             return {}
@@ -273,9 +276,9 @@ class View:
                 values[:, place] = conversion.inside(channel.values(samples[:, place]))
             self._large += self._without_large(values)
             values -= self._offsets
-            balance = self.panel.balance
-            if balance is not None:
-                values[:, samples.shape[1] :] += felt(balance, values[:, self._gauges])
+            if self._gauges is not None:
+                outputs = values[:, self._gauges.columns]
+                values[:, samples.shape[1] :] += felt(self._gauges.balance, outputs)
                 self._without_large(values)
         return values
 
