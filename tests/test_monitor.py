@@ -267,7 +267,7 @@ def test_zero_leaves_the_weight() -> None:
 
 def view_of_channels(*names: str, **more) -> View:
     """A view of channels in SI at 1000 Hz, without dynamics unless some are given."""
-    channels = tuple(StoredChannel(name=name, unit=QUANTITIES[name]) for name in names)
+    channels = tuple(StoredChannel(name=name, unit=QUANTITIES.get(name, "mV/V")) for name in names)
     return View(Panel(channels, 1000.0, True, more.pop("dynamics", NO_DYNAMICS), {}, more.pop("limits", {}), **more))
 
 
@@ -283,6 +283,40 @@ def test_samples_less_the_zero_before_are_in_no_later_mean() -> None:
     feed_constant(view, [100.0], 100, 200)
     assert view.take().readings["AF"].mean == 0.0
     assert view.zeros() == {"AF": 100.0}
+
+
+def test_a_zero_is_taken_of_what_was_read_of_the_last_second() -> None:
+    view = view_of_channels("AF", "pitch", dynamics=dynamics_of(CABLE_CUT.dynamics))
+    for part in range(5):
+        feed_constant(view, [100.0, math.nan if part == 2 else 0.1], 200, 200 * part)
+    expected = 100.0 - CABLE_CUT.dynamics.mass * STANDARD_GRAVITY * math.sin(0.1)
+    assert view.zeros() == {"AF": pytest.approx(expected, rel=1e-12)}
+    for part in range(5, 10):
+        feed_constant(view, [100.0, math.nan], 200, 200 * part)
+    with pytest.raises(ValueError, match="no readings of pitch in the last second, without which the weight cannot"):
+        view.zeros()
+
+
+def test_a_load_that_was_not_read_keeps_its_zero() -> None:
+    view = view_of_channels("AF", "NF", "SF", zeros={"AF": 90.0, "NF": 50.0})
+    for part in range(5):
+        feed_constant(view, [100.0, math.nan if part == 2 else 80.0, math.nan], 200, 200 * part)
+    assert view.zeros() == {"AF": 100.0, "NF": 80.0}
+    for part in range(5, 10):
+        feed_constant(view, [100.0, math.nan, math.nan], 200, 200 * part)
+    assert view.zeros() == {"AF": 100.0, "NF": 50.0}
+    for part in range(10, 15):
+        feed_constant(view, [math.nan] * 3, 200, 200 * part)
+    with pytest.raises(ValueError, match="no readings"):
+        view.zeros()
+
+
+def test_no_zero_of_a_balance_one_bridge_of_which_is_not_read(seed) -> None:
+    balance = random_balance(seed)
+    view = view_of_channels(*(f"r{name}" for name in balance.gauges), balance=balance)
+    feed_constant(view, [0.1, math.nan, *[0.1] * 4], 200, 0)
+    with pytest.raises(ValueError, match=f"no readings of r{balance.gauges[1]} in .* which the loads cannot"):
+        view.zeros()
 
 
 @pytest.mark.parametrize("zeroed", [False, True], ids=["natural zeros", "zeros of the day in the set-up"])

@@ -189,20 +189,39 @@ class View:
     def zeros(self) -> dict[str, float]:
         """Return the zeros that make the loads of the last second read the weight alone.
 
+        A load or gauge output without readings in that second keeps the zero that it has.
+
         Raises
         ------
         ValueError
-            There are no readings yet.
+            There are no readings yet, or none of a channel that makes the loads or the weight.
         """
-        if not self._means:
-            raise ValueError("there are no readings yet to take the zero from")
-        means = np.mean(self.means, axis=0)
+        means = _means(self.means)
         weights = _weights(self.panel, means)
+        self._check_readings(means, weights)
         found = {}
         for place, name in enumerate(self.panel.names):
-            if name not in self.panel.loads and (name in COMPONENTS or is_gauge(name)) and np.isfinite(means[place]):
-                found[name] = float(means[place] + self._offsets[place] - weights.get(name, 0.0))
+            if name not in self.panel.loads and (name in COMPONENTS or is_gauge(name)):
+                if np.isfinite(means[place]):
+                    found[name] = float(means[place] + self._offsets[place] - weights.get(name, 0.0))
+                elif self._offsets[place]:
+                    found[name] = float(self._offsets[place])
         return found | self._zeros_of_gauges(found, weights)
+
+    def _check_readings(self, means: Array, weights: Mapping[str, float]) -> None:
+        """Refuse to take a zero of the last second where nothing was read, or not what the other zeros are made of."""
+        lacking = [name for name, mean in zip(self.panel.names, means, strict=True) if not np.isfinite(mean)]
+        if len(lacking) == len(self.panel.names):
+            raise ValueError("there are no readings yet to take the zero from")
+        needed = set() if self._gauges is None else {f"r{gauge}" for gauge in self._gauges.balance.gauges}
+        if not all(map(math.isfinite, weights.values())):
+            needed |= {"pitch", "roll"}
+        lacking = [name for name in lacking if name in needed]
+        if lacking:
+            raise ValueError(
+                f"no zero is taken: there are no readings of {', '.join(lacking)} in the last second, without which "
+                f"{'the weight' if {*lacking} <= {'pitch', 'roll'} else 'the loads'} cannot be told"
+            )
 
     def _zeros_of_gauges(self, read: Mapping[str, float], weights: Mapping[str, float]) -> dict[str, float]:
         """Zeros of the gauges less what they read by the weight, and those of the loads that are made of them.
@@ -216,12 +235,9 @@ class View:
         balance = gauges.balance
         if balance.natural_zero is not None:  # readings with an offset in the set-up count from that zero
             balance = replace(balance, natural_zero=gauges.zeros)
-        names = [f"r{gauge}" for gauge in balance.gauges]
-        if not all(name in read for name in names):
-            return {}
         known = {name: value if name in loads else 0.0 for name, value in weights.items()}
         under, beyond = gauge_zero_of_readings(read, balance, weight=known, source="the last second")
-        given = dict(zip(names, under.values.tolist(), strict=True))
+        given = {f"r{gauge}": value for gauge, value in zip(balance.gauges, under.values.tolist(), strict=True)}
         return given | dict(zip(loads, beyond.tolist(), strict=True))
 
     @property
