@@ -285,6 +285,19 @@ def test_samples_less_the_zero_before_are_in_no_later_mean() -> None:
     assert view.zeros() == {"AF": 100.0}
 
 
+@pytest.mark.parametrize("ticks", [20, 100, 200])
+def test_means_since_does_not_depend_on_the_blocks(ticks) -> None:
+    view = view_of_channels("AF")
+    for first in range(0, 600, ticks):
+        feed_constant(view, [1.0], ticks, first)
+    # a sample a millisecond, the first at 1 ms
+    assert view.means_since == pytest.approx(0.001, abs=1e-9)
+    assert len(view.means) == 3
+    for first in range(600, 1400, ticks):
+        feed_constant(view, [1.0], ticks, first)
+    assert view.means_since == pytest.approx(0.401, abs=1e-9)  # five spans of 0.2 s end at 1.4 s
+
+
 def test_a_zero_is_taken_of_what_was_read_of_the_last_second() -> None:
     view = view_of_channels("AF", "pitch", dynamics=dynamics_of(CABLE_CUT.dynamics))
     for part in range(5):

@@ -247,7 +247,7 @@ class View:
 
     @property
     def means_since(self) -> float:
-        """When the first block of `means` came, on the steady clock [s]."""
+        """When the first sample of `means` came, on the steady clock [s]."""
         return self._means[0][0] if self._means else -math.inf
 
     def feed(self, block: Block) -> None:
@@ -327,7 +327,7 @@ class View:
     def _count(self, values: Array, received: float) -> None:
         """Draw up numbers and spectra where they are due."""
         if not self._held:
-            self._held_since = received
+            self._held_since = received - (values.shape[0] - 1) / self.panel.rate  # received: the last sample
         self._held.append(values)
         self._held_rows += values.shape[0]
         if self._held_rows < NUMBERS * self.panel.rate:
