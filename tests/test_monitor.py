@@ -391,7 +391,25 @@ def test_alarms_use_the_balance_load(limit, state) -> None:
     reading = view.take().readings["AF"]
     assert reading.state == state
     assert reading.percent == pytest.approx(100 * 1020 / 2000)
-    assert reading.limit is None or reading.limit == pytest.approx(1020 / -limit[0])
+    assert reading.limit == pytest.approx(1020 / -limit[0])
+
+
+@pytest.mark.parametrize(
+    ("limits", "value", "share", "state"),
+    [
+        ((-math.inf, 500.0), 490.0, 0.98, "high"),
+        ((-math.inf, 500.0), -490.0, 0.0, "ok"),
+        ((0.0, math.inf), -1.0, math.inf, "over"),
+        (None, 1960.0, 0.98, "high"),
+    ],
+)
+def test_share_of_limits_one_of_which_may_be_open(limits, value, share, state) -> None:
+    panel = Panel((StoredChannel(name="AF", unit="N"),), 1000.0, True, NO_DYNAMICS, {"AF": 2000.0}, {})
+    view = View(panel if limits is None else replace(panel, limits={"AF": limits}))
+    feed_constant(view, [value], 200, 0)
+    reading = view.take().readings["AF"]
+    assert (reading.state, reading.limit) == (state, pytest.approx(share))
+    assert reading.percent == pytest.approx(100 * abs(value) / 2000)
 
 
 def parsed(frame):

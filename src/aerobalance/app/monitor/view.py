@@ -363,9 +363,9 @@ class View:
         percent = None if half is None else 100 * max(-least, largest) / half
         shares = [largest / high if high > 0 else math.inf if largest > high else 0.0]
         shares.append(least / low if low < 0 else math.inf if least < low else 0.0)
-        share = max(shares)
+        share = max(0.0, *shares)
         state = "over" if share >= 1 else "high" if share >= WARNING else "ok"
-        limit = share if math.isfinite(high - low) else None
+        limit = share if math.isfinite(low) or math.isfinite(high) else None
         return ShownReading(mean, least, largest, percent, limit, state, samples / self.panel.rate, step)
 
     @property
