@@ -21,7 +21,7 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.io import write_recording
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.channel import Channel
-from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.components import STANDARD_GRAVITY, si_unit
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.parts import parts_of
 from aerobalance.recording.recording import Recording
@@ -46,7 +46,7 @@ def reported(folder: Path, monkeypatch, capsys, dynamics, *, components=("AF",))
     channels = {"pitch": Channel("pitch", np.full(time.size, PITCH), "rad")}
     for name in components:
         load = FORCE + (weight if name == "AF" else 0.0) + generator.normal(0, 1, time.size)
-        channels[name] = Channel(name, load, "N")
+        channels[name] = Channel(name, load, si_unit(name))
     run = Recording.from_columns(time, channels, name="run")
     monkeypatch.chdir(folder)
     with warnings.catch_warnings():
@@ -82,12 +82,14 @@ def test_the_page_says_what_was_used_and_leads_from_load_to_force(tmp_path, monk
 def test_of_coupled_components_the_modes_are_listed(tmp_path, monkeypatch, capsys) -> None:
     rate = 2 * np.pi * np.array([60.0, 90.0])
     inertia = np.diag(1 / rate**2)
-    dynamics = CoupledDynamics(("NF", "AF"), inertia, np.diag(2 * 0.01 / rate))
-    found, page = reported(tmp_path, monkeypatch, capsys, dynamics, components=("NF", "AF"))
-    rows = [row for row in cells(page) if row[0] == "NF, AF"]
+    dynamics = CoupledDynamics(("NF", "PM"), inertia, np.diag(2 * 0.01 / rate))
+    found, page = reported(tmp_path, monkeypatch, capsys, dynamics, components=("NF", "PM"))
+    rows = [row for row in cells(page) if row[0] == "NF, PM"]
     assert [row[1] for row in rows] == ["Mode 1", "Mode 2"]
     assert rows[0][2].startswith("60 Hz, damping ratio 0.01")
     assert found["components"]["NF"]["mean_weight"] == 0.0  # no mass is known
+    units = [found["components"][name]["spectrum"]["unit"] for name in ("NF", "PM")]
+    assert units == ["N^2/Hz", "(N*m)^2/Hz"]
 
 
 def test_a_sentence_begins_with_a_capital_but_not_in_a_channels_name() -> None:
