@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from aerobalance.app.cli import main
-from aerobalance.app.commands.compare import compare
+from aerobalance.app.commands.compare import compare, table_of, words_for_table
 from aerobalance.app.demos import tables
 from aerobalance.app.reports.compare_report import _limits, _running_rms, comparison_figure, components_figure
 from aerobalance.dynamics.modal import Mode
@@ -268,3 +268,20 @@ def test_deviations_of_the_tables_are_percentages():
     assert got["mean_percent"] == pytest.approx(100 * (2 + 58 / count) / 1020, rel=1e-6)
     assert got["momentary_percent_of_half_range"] == pytest.approx(3.0)
     assert got["momentary_percent_of_excitation"] == pytest.approx(100 * 60 / 1020)
+
+
+@pytest.mark.parametrize(
+    ("known", "expected"), [(100.0, {"NF": 0.2, "PM": 0.5}), (float("nan"), {"NF": 2.0, "PM": 0.5})]
+)
+def test_the_table_of_all_components_has_one_kind_of_number(known, expected):
+    """NF departs by 2 N of half range 1000 N, and PM by 0.5 N*m of 100 N*m, or of a range that is not known."""
+    parts = {}
+    for name, half, rms in (("NF", 1000.0, 2.0), ("PM", known, 0.5)):
+        row = {"name": THIS, "setting": "customary", "lacking": None, "rms": rms}
+        row["percent_of_half_range"] = {"rms": 100 * rms / half}
+        parts[name] = {"half_range": {"value": half, "from": "given"}, "rivals": [row]}
+    result = {"components": parts}
+    (row,) = table_of(result)
+    assert row["numbers"] == pytest.approx(expected)
+    words = "in percent of half range" if np.isfinite(known) else "each in its own unit"
+    assert words in words_for_table(result)
