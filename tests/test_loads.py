@@ -477,3 +477,15 @@ def test_interactions_that_nearly_keep_the_iteration_from_settling_are_told(seed
         found = loads_of_outputs(large, balance, zero=NONE, form="force")
     assert found.contraction == pytest.approx(0.76)
     assert loads_of_outputs(small, balance, zero=NONE, form="force").contraction == pytest.approx(0.4)
+
+
+def test_a_part_of_a_record_in_a_gap_has_missing_loads(balance: BalanceMatrix, rng) -> None:
+    outputs = balance.outputs(rng.uniform(-0.3, 0.3, (120, 6)) * balance.load_scale)
+    outputs[40:90, 2] = np.nan
+    record = recorded(outputs)
+    part = loads_of_outputs(record.part(50, 80), balance, zero=NONE)
+    assert part.values.shape == (30, 6)
+    assert np.isnan(part.values).all() and np.isnan(part.uncertainty).all() and not part.beyond
+    outputs[:, 2] = np.nan
+    with pytest.raises(FitError, match="no sample gives loads"):
+        loads_of_outputs(recorded(outputs), balance, zero=NONE)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from aerobalance.app.monitor import stepped_sine
 from aerobalance.app.monitor.folder import Folder
 from aerobalance.io.hdf5_contents import contents
 from helpers.running_page import Running
@@ -151,3 +153,49 @@ def test_a_replay_shorter_than_a_second_is_shown_whole(tmp_path, loop) -> None:
         assert not any("cannot be watched" in item["text"] for item in running.page.session.log.messages)
         # 0.4 s are two spans of 0.2 s: the page has had numbers
         assert running.page.display.numbers["readings"]["AF"]["largest"] == pytest.approx(100, abs=1)
+
+
+class Rig:
+    """Source, records, tasks and log of a rig at 100 Hz whose record ends by itself after so many dwells."""
+
+    def __init__(self, dwells, masses):
+        self.controls = {"frequency": 100.0}
+        self.watching = SimpleNamespace(components=("AF",), frequencies={"AF": 66.0}, masses=masses)
+        self.driven, self.left, self.begun, self.said = [], dwells, False, []
+
+    def control(self, name, value):
+        self.driven.append(value)
+
+    def begin(self, name, *, notes, seconds):
+        self.begun = True
+
+    @property
+    def under_way(self):
+        self.left -= 1
+        return self.left > 0
+
+    def stop(self):
+        raise ValueError("no record is under way")
+
+    def changed(self):
+        pass
+
+    def say(self, text, *, kind):
+        self.said.append((kind, text))
+
+
+def test_a_stepped_sine_run_that_ends_early_leaves_no_drive_at_resonance(monkeypatch) -> None:
+    monkeypatch.setattr(stepped_sine, "DWELL", 0.0)
+    rig = Rig(1 + stepped_sine.SHARES.index(1.0), {"AF": 177.0})
+    run = stepped_sine.SteppedSineRun(rig, rig, rig, rig, taken=())
+    run._run()
+    assert rig.driven[-2:] == [66.0, 100.0]
+    assert run.shown["text"] == "ended early: no record is under way"
+    assert rig.said == [("error", "stepped-sine run: no record is under way")]
+
+
+def test_a_stepped_sine_run_needs_a_mass() -> None:
+    rig = Rig(1, {})
+    with pytest.raises(ValueError, match="needs the moving mass along AF"):
+        stepped_sine.SteppedSineRun(rig, rig, rig, rig, taken=())
+    assert not rig.begun

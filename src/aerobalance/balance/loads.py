@@ -235,7 +235,7 @@ def loads_of_outputs(
     Raises
     ------
     FitError
-        A bridge was not recorded, or no sample has a load.
+        A bridge was not recorded, or no sample of a whole record has a load: those of a part of one may lie in a gap.
     ValueError
         The zero does not say whether the model hung on the balance while it was read.
 
@@ -256,7 +256,7 @@ def loads_of_outputs(
     known = np.isfinite(solution.loads).all(axis=1)
     whole = bool(known.all())
     lost = 0 if whole else int(np.count_nonzero(np.isfinite(outputs).all(axis=1) & ~known))
-    if not known.any():
+    if not known.any() and recording.extent.is_whole:
         raise FitError(
             f"{recording.name}: no sample gives loads; {lost} of {table.shape[0]} have no solution, the rest lack a "
             "gauge output. Check units, zeros and the order of the bridges"
@@ -269,6 +269,8 @@ def loads_of_outputs(
     native = solution.loads
     found = native if whole else native[known]
     beyond = check_range(recording, balance, found)
+    if not len(found):
+        found = np.zeros((1, native.shape[1]))  # what there is to say of a part without loads is that of no load
     contraction = check_iteration(recording, balance, found)
     noise = np.array([_noise(channel) for channel in channels])
     check_rows(recording, balance, channels, noise)
@@ -281,12 +283,14 @@ def loads_of_outputs(
     if tare is not None:
         values = values - tare[0]
         apart = apart + tare[1] ** 2
-    filled = np.column_stack([interpolate_gaps_linearly(column) for column in values.T])
+    correlation = np.eye(len(scatter))
+    if known.any():
+        correlation = noise_correlation(np.column_stack([interpolate_gaps_linearly(one) for one in values.T]))
     loads = Loads(
         components=components,
         units=tuple("N*m" if moment else "N" for moment in moments),
         values=values,
-        noise_covariance=np.outer(scatter, scatter) * noise_correlation(filled),
+        noise_covariance=np.outer(scatter, scatter) * correlation,
         apart=apart,
         native=native,
         beyond=beyond,
