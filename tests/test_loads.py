@@ -9,11 +9,12 @@ import numpy as np
 import pytest
 
 from aerobalance.balance.calibration.fit import calibrate
-from aerobalance.balance.loads import Loads, loads_of_outputs, static_uncertainty, wind_off_loads
+from aerobalance.balance.loads import Loads, loads_of_outputs, static_uncertainty
 from aerobalance.balance.matrix import BalanceMatrix, TemperatureEffect
 from aerobalance.balance.reduction import reduce_outputs
 from aerobalance.balance.terms import KINDS
 from aerobalance.balance.weighing import LoadPoints, Weighing, fit_weight
+from aerobalance.balance.wind_off import wind_off_loads
 from aerobalance.balance.zeros import GaugeZero, Zero, gauge_table, gauge_zero
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError

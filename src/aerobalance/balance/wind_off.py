@@ -1,0 +1,64 @@
+"""Loads of wind-off recordings at the attitude of a run, to take off."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from aerobalance.balance.load_formats import Form
+from aerobalance.balance.loads import loads_of_outputs
+from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.balance.zeros import GaugeZero
+from aerobalance.recording.channel import Array
+from aerobalance.recording.errors import FitError
+from aerobalance.recording.recording import Recording
+
+SHARED_PITCH: Final = np.radians(0.2)
+"""Difference of the mean pitch up to which a wind-off recording is at the same attitude [rad]."""
+
+
+def wind_off_loads(
+    recording: Recording,
+    wind_off: Sequence[Recording],
+    balance: BalanceMatrix,
+    *,
+    zero: GaugeZero | None = None,
+    form: Form | None = None,
+) -> tuple[Array, Array]:
+    """Loads of wind-off recordings, at the attitude of a run: values and standard uncertainty, shape (n, c).
+
+    The mean loads of the wind-off recordings are joined by straight lines over pitch. One recording, or recordings
+    without pitch, give one constant tare.
+
+    Raises
+    ------
+    FitError
+        The run goes beyond the pitch angles of the wind-off recordings.
+    """
+    results = [loads_of_outputs(item, balance, zero=zero, form=form) for item in wind_off]
+    means = np.array([np.nanmean(result.values, axis=0) for result in results])
+    us = np.array([result.noise / np.sqrt(max(len(result.values), 1)) for result in results])
+    with_pitch = all("pitch" in item for item in (recording, *wind_off))
+    if not with_pitch:
+        return means.mean(axis=0)[None, :], np.sqrt(np.sum(us**2, axis=0) / len(us) ** 2)[None, :]
+    angles = np.array([float(np.nanmean(item.channel("pitch").values)) for item in wind_off])
+    pitch = recording.channel("pitch").values
+    if len(wind_off) == 1 and np.nanmax(np.abs(pitch - angles[0])) <= SHARED_PITCH:
+        return means, us
+    least, most = (float(np.degrees(limit)) for limit in (np.nanmin(pitch), np.nanmax(pitch)))
+    first, last = float(np.degrees(angles.min())), float(np.degrees(angles.max()))
+    slack = float(np.degrees(SHARED_PITCH))
+    if least < first - slack or most > last + slack:
+        raise FitError(
+            f"{recording.name}: pitch goes from {least:.4g} to {most:.4g} deg, but the wind-off recordings cover "
+            f"{first:.4g} to {last:.4g} deg; add "
+            "wind-off recordings, or weigh the model and give its mass.json instead"
+        )
+    order = np.argsort(angles)
+    columns = [
+        np.column_stack([np.interp(pitch, angles[order], table[order, i]) for i in range(table.shape[1])])
+        for table in (means, us)
+    ]
+    return columns[0], columns[1]
