@@ -270,6 +270,46 @@ def test_temperature_effects_are_taken_out(balance: BalanceMatrix, rng) -> None:
     assert np.abs(left).max() > 1e-3 * CAPACITIES.min()
 
 
+def test_what_is_not_known_of_the_temperature_effects_is_in_the_uncertainty(balance: BalanceMatrix, rng) -> None:
+    small = 1e-5  # [mV/V/K] and [1/K]: over 30 K the second order is 3e-4 of the first
+    effects = {
+        name: TemperatureEffect(20.0, rng.normal(0, 1e-3), small, rng.normal(0, 1e-3), small)
+        for name in balance.components
+    }
+    warm = replace(balance, temperature=effects)
+    temperature = np.linspace(30.0, 50.0, 40)
+    native = np.tile(0.4 * CAPACITIES, (40, 1))  # one load, at which the matrix has one slope
+    run = recorded(balance.outputs(native), extra={"temperature": ("degC", temperature)})
+    felt = loads_of_outputs(run, warm, zero=NONE)
+    # the same with each of the twelve effects off by its uncertainty
+    expected = np.zeros_like(felt.values)
+    for name, effect in effects.items():
+        for off in (
+            replace(effect, zero=effect.zero + small),
+            replace(effect, sensitivity=effect.sensitivity + small),
+        ):
+            other = loads_of_outputs(run, replace(warm, temperature={**effects, name: off}), zero=NONE)
+            expected += (other.values - felt.values) ** 2
+    known = {name: replace(effect, u_zero=0.0, u_sensitivity=0.0) for name, effect in effects.items()}
+    without = loads_of_outputs(run, replace(warm, temperature=known), zero=NONE)
+    # zeros that moved by up to 1e-2 mV/V, and sensitivities by 3e-2, turn the slope of the matrix by as much
+    assert np.allclose(felt.calibration**2 - without.calibration**2, expected, rtol=0.1)
+    share = static_uncertainty(felt, forces={})["NF"] ** 2 - static_uncertainty(without, forces={})["NF"] ** 2
+    assert np.allclose(share, expected[:, 0], rtol=0.1)
+
+
+def test_without_a_temperature_its_effects_change_nothing(balance: BalanceMatrix, rng) -> None:
+    effect = TemperatureEffect(20.0, 1e-3, 1e-3, 1e-3, 1e-3)
+    run = recorded(balance.outputs(swinging(40, rng)))
+    plain, warm = (
+        loads_of_outputs(run, replace(balance, temperature=effects), zero=NONE)
+        for effects in ({}, dict.fromkeys(balance.components, effect))
+    )
+    np.testing.assert_array_equal(warm.values, plain.values)
+    np.testing.assert_array_equal(warm.uncertainty, plain.uncertainty)
+    assert warm.apart.shape == (1, 6)
+
+
 def test_noise_of_the_bridges_becomes_noise_of_the_loads(balance: BalanceMatrix, rng) -> None:
     level = balance.outputs(0.3 * CAPACITIES[None, :])
     outputs = level + rng.normal(0, NOISE, (20000, 6))

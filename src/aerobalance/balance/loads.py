@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.balance.bridge_temperature import at_reference_temperature
 from aerobalance.balance.load_checks import check_iteration, check_range, check_rows, doubts_of_zero
 from aerobalance.balance.load_formats import FORM_MOMENTS, FORMS, Form, between_forms
 from aerobalance.balance.load_variance import load_variances
@@ -48,8 +49,8 @@ class Loads:
     noise_covariance
         Covariance of one reading from the noise of the gauges, shape (c, c) [N^2, N^2*m, N^2*m^2].
     apart
-        Variance of every sample from zeros, tares and gains of the bridges [N^2, N^2*m^2], shape (n, c) or, the same
-        for all, (1, c).
+        Variance of every sample from zeros, tares, gains of the bridges and what temperature does to them
+        [N^2, N^2*m^2], shape (n, c) or, the same for all, (1, c).
     native
         Loads in the balance's own components, tares not removed, shape (n, c) [N, N*m].
     beyond
@@ -98,7 +99,7 @@ class Loads:
 
     @property
     def calibration(self) -> Array:
-        """Standard uncertainty from the matrix, zeros, gains and tares, shape (n, c) [N, N*m]; worked out anew."""
+        """Standard uncertainty from the matrix and all that `apart` has, shape (n, c) [N, N*m]; worked out anew."""
         return np.asarray(np.sqrt(np.maximum(_from_matrix(self, self.native) + self.apart, 0.0)))
 
     @property
@@ -247,8 +248,7 @@ def loads_of_outputs(
     if zero.model_on is None:
         raise ValueError(f"{zero.source}: {SAY_HOW_READ}")
     progress = np.linspace(recording.extent.begin, recording.extent.end, table.shape[0])[:, None]
-    outputs = table - zero.values - zero.drift * progress
-    outputs = _at_reference_temperature(outputs, recording, balance)
+    outputs, of_temperature = at_reference_temperature(table - zero.values - zero.drift * progress, recording, balance)
     solution = balance.loads(outputs)
     known = np.isfinite(solution.loads).all(axis=1)
     whole = bool(known.all())
@@ -275,6 +275,8 @@ def loads_of_outputs(
     scatter = np.sqrt(np.maximum(np.diag(slope @ np.diag(noise**2) @ slope.T), 0.0))
     values = native @ T.T if zero.operating_point is None else (native - zero.operating_point) @ T.T
     apart = _apart(native, zero, channels, slope=slope, transform=T)
+    if of_temperature is not None:
+        apart = apart + of_temperature @ (slope**2).T
     if tare is not None:
         values = values - tare[0]
         apart = apart + tare[1] ** 2
@@ -324,20 +326,6 @@ def _calibration_zero(recording: Recording, balance: BalanceMatrix) -> GaugeZero
         "Whatever they read without load goes into the loads in full; give a recording of the unloaded balance as zero"
     )
     return GaugeZero.taken_off(balance)
-
-
-def _at_reference_temperature(outputs: Array, recording: Recording, balance: BalanceMatrix) -> Array:
-    """Take out what temperature does to zeros and sensitivities, where both it and its effects are known."""
-    if not balance.temperature or "temperature" not in recording:
-        return outputs
-    temperature = recording.channel("temperature").values[:, None]
-    effects = [balance.temperature[name] for name in balance.components]
-    change = temperature - np.array([effect.reference for effect in effects])
-    zero = np.array([effect.zero for effect in effects])
-    gain = np.array([effect.sensitivity for effect in effects])
-    # the zero was read at the run's own temperature: only what changes within the run moves it
-    moved = temperature - recording.extent.means.get("temperature", float(np.nanmean(temperature)))
-    return np.asarray((outputs - zero * moved) / (1 + gain * change))
 
 
 def _noise(channel: Channel) -> float:
