@@ -142,6 +142,42 @@ def test_a_jump_between_two_zeros_is_doubted(balance: BalanceMatrix, rng) -> Non
     assert doubt.effect == pytest.approx(np.sqrt(np.mean(error**2)), rel=0.1)  # sensitivities, as above
 
 
+def test_zeros_that_contradict_each_other_are_doubted_and_count(balance: BalanceMatrix, rng) -> None:
+    zero, apart = rng.normal(0, 0.3, 6), np.zeros(6)
+    apart[5] = 0.1
+    native = np.tile(0.4 * CAPACITIES, (200, 1))
+    run, zeros = (
+        recorded(balance.outputs(native) + zero),
+        [at_rest(rng, zero), at_rest(rng, zero + apart, name="other")],
+    )
+    with pytest.warns(DataQualityWarning, match="zero, other are zeros that differ by .* of AF"):
+        felt = reduce_outputs(run, balance, zero=Zero(zeros, model_on=False))
+    # of two values the standard uncertainty of the mean is half of what they differ by: as far off as either may be
+    assert felt.zero.u[5] == pytest.approx(0.05, abs=5 * NOISE / np.sqrt(4000))
+    (doubt,) = [one for one in felt.doubts if one.component == "AF"]
+    error = felt.values[:, 5] - in_direct(balance, native)[:, 5]
+    # sensitivities change by some per cent between the load and the load with the error
+    assert doubt.effect == pytest.approx(np.sqrt(np.mean(error**2)), rel=0.1)
+    assert doubt.effect < 1.01 * felt.calibration[:, 5].mean()
+
+
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")  # of the weight along others
+def test_zeros_under_the_weight_at_several_attitudes_may_differ(balance: BalanceMatrix, rng) -> None:
+    """A zero is the mean of those at 0 and 10 deg as well, if the weight in each is known."""
+    weighing = weighed(rng)
+
+    def at(degrees: float, force: float, name: str) -> Recording:
+        pitch = np.full(800, np.radians(degrees))
+        native = np.zeros((800, 6))
+        native[:, 5] = force + 50.0 * np.sin(pitch)
+        return recorded(balance.outputs(native), extra={"pitch": ("rad", pitch)}, name=name)
+
+    zeros = Zero([at(10.0, 0.0, "first"), at(0.0, 0.0, "second")], model_on=True)
+    felt = reduce_outputs(at(6.0, 120.0, "run"), balance, zero=zeros, tare=weighing)
+    assert felt.doubts == ()
+    assert felt.zero.u.max() < 1e-9  # there is no noise
+
+
 def test_a_run_is_not_its_own_zero(balance: BalanceMatrix, rng) -> None:
     run = recorded(balance.outputs(swinging(2000, rng)) + rng.normal(0, NOISE, (2000, 6)))
     copy = replace(run, name="copy of the run")

@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Final
 
 import numpy as np
 
 from aerobalance.balance.load_formats import Form
 from aerobalance.balance.loads import loads_of_outputs
 from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.balance.weight_on_zero import SHARED_PITCH
 from aerobalance.balance.zeros import GaugeZero
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
-
-SHARED_PITCH: Final = np.radians(0.2)
-"""Difference of the mean pitch up to which a wind-off recording is at the same attitude [rad]."""
 
 
 def wind_off_loads(
