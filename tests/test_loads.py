@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from aerobalance.balance.calibration.fit import calibrate
 from aerobalance.balance.loads import Loads, loads_of_outputs, static_uncertainty
@@ -285,6 +286,37 @@ def test_wind_off_loads_are_taken_off_at_the_same_pitch(balance: BalanceMatrix, 
     assert np.allclose(felt.values, in_direct(balance, aero), atol=1.01 * chord + 1e-6)
     with pytest.raises(FitError, match="add wind-off recordings"):
         wind_off_loads(at(pitch * 2, aero, "steep"), off, balance, zero=NONE)
+
+
+def test_a_tare_is_known_as_well_as_the_mean_of_what_sways(balance: BalanceMatrix, rng) -> None:
+    """An AR(1) process of r = 0.95: its mean scatters by sqrt((1 + r) / (1 - r)) = 6.2 times that of white noise."""
+    samples, count = 4000, 30
+    run = recorded(np.zeros((50, 6)))
+    tares, us = [], []
+    for _ in range(count):
+        sway = lfilter([1], [1, -0.95], rng.normal(0, NOISE, (samples + 200, 6)), axis=0)[200:]
+        sway[::7, 2] = np.nan  # what is missing is in no mean
+        value, u = wind_off_loads(run, [recorded(sway)], balance, zero=NONE)
+        tares.append(value[0])
+        us.append(u[0])
+    stated = np.sqrt(np.mean(np.square(us), axis=0))
+    # 30 means of six loads tell their standard deviation to 1 / sqrt(360) = 5 %; batches of 200 samples are correlated
+    # by some per cent
+    assert np.sqrt(np.mean((np.array(tares) / stated) ** 2)) == pytest.approx(1, abs=0.25)
+
+
+def test_tares_of_unknown_attitude_count_by_what_they_differ_by(balance: BalanceMatrix, rng) -> None:
+    off = [
+        recorded(balance.outputs(np.tile([0, 0, 0, 0, 0, force], (200, 1))) + rng.normal(0, 1e-6, (200, 6)))
+        for force in (10.0, 20.0)
+    ]
+    value, u = wind_off_loads(recorded(np.zeros((50, 6))), off, balance, zero=NONE)
+    # half of what two differ by; noise of 1e-6 mV/V is some 1e-4 N
+    assert value[0, 5] == pytest.approx(15.0, abs=1e-3)
+    assert u[0, 5] == pytest.approx(5.0, abs=1e-3)
+    lost = recorded(np.where(np.arange(3)[:, None] == 0, 0.0, np.full((3, 6), np.nan)), name="lost")
+    with pytest.raises(FitError, match="lost: fewer than two samples have all loads"):
+        wind_off_loads(recorded(np.zeros((50, 6))), [lost], balance, zero=NONE)
 
 
 def test_temperature_effects_are_taken_out(balance: BalanceMatrix, rng) -> None:

@@ -44,7 +44,7 @@ class MeanOfRecords(NamedTuple):
     between: Array
 
 
-def mean_of_records(means: Sequence[Array], variances: Sequence[Array]) -> MeanOfRecords:
+def mean_of_records(means: Sequence[Array] | Array, variances: Sequence[Array] | Array) -> MeanOfRecords:
     """Mean of the means of records, and its variance: that within them, or that between them where it is larger.
 
     So the variance is that of a random-effects model: what records differ by beyond their own uncertainty is an error

@@ -9,6 +9,7 @@ import numpy as np
 from aerobalance.balance.load_formats import Form
 from aerobalance.balance.loads import loads_of_outputs
 from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.balance.steady_means import mean_of_records, variance_of_mean
 from aerobalance.balance.weight_on_zero import SHARED_PITCH
 from aerobalance.balance.zeros import GaugeZero
 from aerobalance.recording.channel import Array
@@ -26,20 +27,28 @@ def wind_off_loads(
 ) -> tuple[Array, Array]:
     """Loads of wind-off recordings, at the attitude of a run: values and standard uncertainty, shape (n, c).
 
+    The uncertainty is that of a mean, by batch means, as that of a zero.
+
     The mean loads of the wind-off recordings are joined by straight lines over pitch. One recording, or recordings
     without pitch, give one constant tare.
 
     Raises
     ------
     FitError
-        The run goes beyond the pitch angles of the wind-off recordings.
+        The run goes beyond the pitch angles of the wind-off recordings, or one of them has no samples.
     """
     results = [loads_of_outputs(item, balance, zero=zero, form=form) for item in wind_off]
-    means = np.array([np.nanmean(result.values, axis=0) for result in results])
-    us = np.array([result.noise / np.sqrt(max(len(result.values), 1)) for result in results])
+    known = [result.values[np.isfinite(result.values).all(axis=1)] for result in results]
+    for item, table in zip(wind_off, known, strict=True):
+        if len(table) < 2:
+            raise FitError(f"{item.name}: fewer than two samples have all loads; record more for a tare")
+    means = np.array([table.mean(axis=0) for table in known])
+    variances = np.array([variance_of_mean(table) for table in known])
     with_pitch = all("pitch" in item for item in (recording, *wind_off))
     if not with_pitch:
-        return means.mean(axis=0)[None, :], np.sqrt(np.sum(us**2, axis=0) / len(us) ** 2)[None, :]
+        found = mean_of_records(means, variances)
+        return found.values[None, :], np.sqrt(found.variance)[None, :]
+    us = np.sqrt(variances)
     angles = np.array([float(np.nanmean(item.channel("pitch").values)) for item in wind_off])
     pitch = recording.channel("pitch").values
     if len(wind_off) == 1 and np.nanmax(np.abs(pitch - angles[0])) <= SHARED_PITCH:
