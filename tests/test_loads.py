@@ -305,6 +305,27 @@ def test_a_tare_is_known_as_well_as_the_mean_of_what_sways(balance: BalanceMatri
     assert np.sqrt(np.mean((np.array(tares) / stated) ** 2)) == pytest.approx(1, abs=0.25)
 
 
+def test_tares_before_and_after_a_run_at_its_pitch_count_by_their_mean(balance: BalanceMatrix, rng) -> None:
+    """A line through two that are 0.02 deg apart would turn the noise of the run's pitch into a load."""
+    pitch = np.radians(0.05) * rng.choice([-1.0, 1.0], 300)
+
+    def at(degrees: float, force: float) -> Recording:
+        outputs = balance.outputs(np.tile([0, 0, 0, 0, 0, force], (200, 1))) + rng.normal(0, 1e-6, (200, 6))
+        return recorded(outputs, extra={"pitch": ("rad", np.full(200, np.radians(degrees)))})
+
+    run = recorded(np.zeros((300, 6)), extra={"pitch": ("rad", pitch)})
+    value, u = wind_off_loads(run, [at(0.01, 10.0), at(-0.01, 20.0)], balance, zero=NONE)
+    # half of what two differ by, as above
+    assert np.allclose(value[:, 5], 15.0, atol=1e-3)
+    assert np.allclose(u[:, 5], 5.0, atol=1e-3)
+    # at 0 deg their mean, and from there the line to the next
+    value, u = wind_off_loads(
+        run, [at(0.01, 10.0), at(5.0, 45.0), at(-0.01, 20.0), at(-5.0, 45.0)], balance, zero=NONE
+    )
+    assert np.allclose(value[:, 5], 15.0 + 30.0 * np.abs(np.degrees(pitch)) / 5, atol=1e-3)
+    assert np.allclose(u[:, 5], 5.0 * (1 - np.abs(np.degrees(pitch)) / 5), atol=1e-3)
+
+
 def test_tares_of_unknown_attitude_count_by_what_they_differ_by(balance: BalanceMatrix, rng) -> None:
     off = [
         recorded(balance.outputs(np.tile([0, 0, 0, 0, 0, force], (200, 1))) + rng.normal(0, 1e-6, (200, 6)))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aerobalance.balance.load_formats import Form
 from aerobalance.balance.loads import loads_of_outputs
@@ -29,8 +30,8 @@ def wind_off_loads(
 
     The uncertainty is that of a mean, by batch means, as that of a zero.
 
-    The mean loads of the wind-off recordings are joined by straight lines over pitch. One recording, or recordings
-    without pitch, give one constant tare.
+    The mean loads of the wind-off recordings are joined by straight lines over pitch; those at one pitch give their
+    mean. Recordings at one pitch only, or without pitch, give one constant tare.
 
     Raises
     ------
@@ -44,15 +45,11 @@ def wind_off_loads(
             raise FitError(f"{item.name}: fewer than two samples have all loads; record more for a tare")
     means = np.array([table.mean(axis=0) for table in known])
     variances = np.array([variance_of_mean(table) for table in known])
-    with_pitch = all("pitch" in item for item in (recording, *wind_off))
-    if not with_pitch:
+    if not all("pitch" in item for item in (recording, *wind_off)):
         found = mean_of_records(means, variances)
         return found.values[None, :], np.sqrt(found.variance)[None, :]
-    us = np.sqrt(variances)
     angles = np.array([float(np.nanmean(item.channel("pitch").values)) for item in wind_off])
     pitch = recording.channel("pitch").values
-    if len(wind_off) == 1 and np.nanmax(np.abs(pitch - angles[0])) <= SHARED_PITCH:
-        return means, us
     least, most = (float(np.degrees(limit)) for limit in (np.nanmin(pitch), np.nanmax(pitch)))
     first, last = float(np.degrees(angles.min())), float(np.degrees(angles.max()))
     slack = float(np.degrees(SHARED_PITCH))
@@ -62,9 +59,26 @@ def wind_off_loads(
             f"{first:.4g} to {last:.4g} deg; add "
             "wind-off recordings, or weigh the model and give its mass.json instead"
         )
-    order = np.argsort(angles)
-    columns = [
-        np.column_stack([np.interp(pitch, angles[order], table[order, i]) for i in range(table.shape[1])])
-        for table in (means, us)
-    ]
+    alike = _at_one_pitch(angles)
+    merged = [mean_of_records(means[rows], variances[rows]) for rows in alike]
+    values, us = np.array([one.values for one in merged]), np.sqrt([one.variance for one in merged])
+    if len(alike) == 1:
+        return values, us
+    knots = [float(angles[rows].mean()) for rows in alike]
+    columns = [np.column_stack([np.interp(pitch, knots, column) for column in table.T]) for table in (values, us)]
     return columns[0], columns[1]
+
+
+def _at_one_pitch(angles: Array) -> list[NDArray[np.intp]]:
+    """Places of the angles that are the same but for what a model at rest moves, from the least angle to the largest.
+
+    Between two of them a line through their loads would have the slope of their scatter.
+    """
+    order = np.argsort(angles, kind="stable")
+    groups: list[list[int]] = []
+    for place in order.tolist():
+        if groups and angles[place] - angles[groups[-1][0]] <= SHARED_PITCH:
+            groups[-1].append(place)
+        else:
+            groups.append([place])
+    return [np.array(group, dtype=np.intp) for group in groups]
