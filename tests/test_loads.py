@@ -359,6 +359,25 @@ def test_temperature_effects_are_taken_out(balance: BalanceMatrix, rng) -> None:
     assert np.abs(left).max() > 1e-3 * CAPACITIES.min()
 
 
+def test_natural_zeros_move_with_the_temperature_since_the_calibration(balance: BalanceMatrix, rng) -> None:
+    effects = {
+        name: TemperatureEffect(20.0, rng.normal(0, 1e-3), 1e-4, rng.normal(0, 1e-3), 0.0)
+        for name in balance.components
+    }
+    natural = rng.normal(0, 0.3, 6)
+    warm = replace(balance, temperature=effects, natural_zero=natural)
+    native, change = np.tile(0.4 * CAPACITIES, (40, 1)), 30.0
+    slope, gain = np.array([(effect.zero, effect.sensitivity) for effect in effects.values()]).T
+    outputs = balance.outputs(native) * (1 + gain * change) + natural + slope * change
+    run = recorded(outputs, extra={"temperature": ("degC", np.full(40, 20.0 + change))})
+    with pytest.warns(DataQualityWarning, match="moved since, but for what temperature does to them, goes"):
+        felt = loads_of_outputs(run, warm)
+    assert np.allclose(felt.values, in_direct(balance, native), atol=1e-10 * CAPACITIES.max())
+    # the zeros are known to 30 K times 1e-4 mV/V/K; sensitivities are drawn 3 % off, and 15 % is five times that
+    by_zero = np.sqrt((felt.transform @ balance.sensitivity(native[:1])[0]) ** 2 @ np.full(6, (change * 1e-4) ** 2))
+    assert np.allclose(np.sqrt(felt.apart[0]), by_zero, rtol=0.15)
+
+
 def test_what_is_not_known_of_the_temperature_effects_is_in_the_uncertainty(balance: BalanceMatrix, rng) -> None:
     small = 1e-5  # [mV/V/K] and [1/K]: over 30 K the second order is 3e-4 of the first
     effects = {

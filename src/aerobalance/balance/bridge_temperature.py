@@ -27,7 +27,9 @@ class AtReference(NamedTuple):
     variance: Array | None
 
 
-def at_reference_temperature(outputs: Array, recording: Recording, balance: BalanceMatrix) -> AtReference:
+def at_reference_temperature(
+    outputs: Array, recording: Recording, balance: BalanceMatrix, *, since_calibration: bool
+) -> AtReference:
     """Take out what temperature does to zeros and sensitivities, where both it and its effects are known.
 
     Parameters
@@ -38,6 +40,8 @@ def at_reference_temperature(outputs: Array, recording: Recording, balance: Bala
         The run, with its temperature [degC] where that was recorded.
     balance
         The balance matrix.
+    since_calibration
+        Whether the zeros are those of the calibration, read at the temperature of the matrix, and not of the run.
     """
     if not balance.temperature or "temperature" not in recording:
         return AtReference(outputs, None)
@@ -47,8 +51,9 @@ def at_reference_temperature(outputs: Array, recording: Recording, balance: Bala
         [(one.reference, one.zero, one.u_zero, one.sensitivity, one.u_sensitivity) for one in effects]
     ).T
     change = temperature - reference
-    # the zero was read at the run's own temperature: only what changes within the run moves it
-    moved = temperature - recording.extent.means.get("temperature", float(np.nanmean(temperature)))
+    # a zero of the run was read at the run's own temperature: only what changes within the run moves it
+    mean = recording.extent.means.get("temperature", float(np.nanmean(temperature)))
+    moved = change if since_calibration else temperature - mean
     found = np.asarray((outputs - zero * moved) / (1 + gain * change))
     if not (u_zero.any() or u_gain.any()):
         return AtReference(found, None)

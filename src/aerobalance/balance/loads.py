@@ -244,11 +244,14 @@ def loads_of_outputs(
         not those of this run.
     """
     table, channels = gauge_table(recording, balance)
+    since_calibration = zero is None and balance.natural_zero is not None
     zero = _calibration_zero(recording, balance) if zero is None else zero
     if zero.model_on is None:
         raise ValueError(f"{zero.source}: {SAY_HOW_READ}")
     progress = np.linspace(recording.extent.begin, recording.extent.end, table.shape[0])[:, None]
-    outputs, of_temperature = at_reference_temperature(table - zero.values - zero.drift * progress, recording, balance)
+    outputs, of_temperature = at_reference_temperature(
+        table - zero.values - zero.drift * progress, recording, balance, since_calibration=since_calibration
+    )
     solution = balance.loads(outputs)
     known = np.isfinite(solution.loads).all(axis=1)
     whole = bool(known.all())
@@ -314,9 +317,12 @@ def _calibration_zero(recording: Recording, balance: BalanceMatrix) -> GaugeZero
     """Zeros of the calibration, for want of those of the run; or none."""
     c = len(balance.components)
     if balance.natural_zero is not None:
+        known = (
+            ", but for what temperature does to them," if balance.temperature and "temperature" in recording else ""
+        )
         warn_quality(
             f"{recording.name}: no zero was given; the natural zeros of the calibration are taken. What the bridges' "
-            "zeros have moved since goes into the loads in full"
+            f"zeros have moved since{known} goes into the loads in full"
         )
         return GaugeZero(
             balance.natural_zero, np.zeros(c), "natural zeros of the calibration", np.zeros(c), model_on=False
