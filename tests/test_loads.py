@@ -254,6 +254,17 @@ def test_a_zero_says_whether_the_model_was_on(balance: BalanceMatrix) -> None:
         loads_of_outputs(recorded(np.zeros((100, 6))), balance, zero=replace(NONE, model_on=None))
 
 
+@pytest.mark.parametrize("said", [True, False])
+def test_what_a_zero_says_may_come_from_an_array(said: bool) -> None:
+    assert Zero(recorded(np.zeros((100, 6))), model_on=np.array([said])[0]).model_on is said
+
+
+@pytest.mark.parametrize("said", [0, 1, None, "on"])
+def test_a_zero_says_it_in_no_other_words(said) -> None:
+    with pytest.raises(ValueError, match=f"a zero must say how it was read.*; not {said!r}"):
+        Zero(recorded(np.zeros((100, 6))), model_on=said)
+
+
 def test_a_run_among_its_tares_is_told(balance: BalanceMatrix, rng) -> None:
     pitch = np.zeros(800)
     run, other = (

@@ -153,8 +153,10 @@ class Zero:
         ValueError
             `model_on` is not said, or there are zeros after the run and none before it.
         """
-        if model_on not in (True, False, "auto"):
-            raise ValueError(SAY_HOW_READ)
+        if isinstance(model_on, np.bool_):
+            model_on = bool(model_on)
+        if not isinstance(model_on, bool) and model_on != "auto":  # 0 and 1 only equal False and True
+            raise ValueError(f"{SAY_HOW_READ}; not {model_on!r}")
         before, later = (
             tuple(corrected(item) for item in ((one,) if isinstance(one, Recording) else one))
             for one in (recordings, after)
