@@ -510,6 +510,31 @@ def test_missing_readings_are_bridged_and_said():
     assert np.isfinite(motion.specific_force).all()
 
 
+def interleaved(rng, axes):
+    """Accelerometers that a multiplexer reads in turn, each moved by 5 m/s^2 at 3 Hz."""
+    clock = np.arange(4000) / RATE
+    values = 5 * np.sin(2 * np.pi * 3 * clock) + 0.01 * rng.normal(size=(2, clock.size))
+    values[0, ::2] = values[1, 1::2] = np.nan
+    return recording(
+        *(
+            Channel(f"ground_acceleration_{i}", one, "m/s^2", noise=0.01, axis=axis)
+            for i, (one, axis) in enumerate(zip(values, axes, strict=True))
+        )
+    )
+
+
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")  # of the missing readings
+@pytest.mark.parametrize("other", ["NF", "AF"])
+def test_sensors_that_are_read_in_turn_are_not_at_rest(other, rng):
+    """Whether they read two axes, or one, so that no sample has a reading of both."""
+    motion = PlatformMotion.of(interleaved(rng, [VECTORS["AF"], VECTORS[other]]))
+    assert not [text for text in motion.assumptions if "at rest" in text and "AF" in text]
+    moved = 5 * np.sin(2 * np.pi * 3 * np.arange(4000) / RATE)
+    for name in {"AF", other}:
+        # every second reading is predicted, by a step of up to 2 pi 3 Hz * 5 m/s^2 * 1 ms
+        np.testing.assert_allclose(motion.acceleration[:, COMPONENTS.index(name)], moved, atol=0.1)
+
+
 def test_nothing_recorded_is_rest_and_gravity():
     motion = PlatformMotion.of(recording(Channel("pitch", np.full(100, 0.3), "rad", noise=0.0)))
     assert not motion.acceleration.any() and any("at rest" in text for text in motion.assumptions)
