@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from aerobalance.dynamics.rigid_body import RigidMass
+from aerobalance.motion.at_rest import tones
 from aerobalance.motion.changes import MotionChanges
 from aerobalance.motion.least_squares import GroundFit
 from aerobalance.motion.platform import PlatformMotion
@@ -341,6 +342,16 @@ def test_at_rest_is_zero_but_for_tones(rng):
     assert abs((left @ hum) / (hum @ hum) - 1) < 0.27 and rms(left - hum) < 0.2
     np.testing.assert_array_equal(motion.acceleration[:, COMPONENTS.index("NF")], channels[2].values)
     assert sum("beyond its noise" in text for text in motion.assumptions) == 2
+
+
+@pytest.mark.parametrize("samples", [64, 30, 8, 2])
+def test_tones_of_short_records_are_found(samples):
+    """All of 17 ordinates about a tone are kept: of a record of up to 16 samples everything but its mean."""
+    tone = np.cos(2 * np.pi * (samples // 4) * np.arange(samples) / samples)
+    found, share = tones(tone)
+    np.testing.assert_allclose(found, tone - tone.mean() if samples > 2 else 0.0, atol=1e-12)
+    kept = min(samples // 4 + 8, samples // 2) - max(samples // 4 - 8, 0) + 1 if samples > 2 else 0
+    assert share == pytest.approx(np.sqrt(kept / (samples // 2 + 1)), rel=1e-12)
 
 
 def test_tones_of_a_motion_at_rest_follow_the_channel_that_reads_them(rng):
