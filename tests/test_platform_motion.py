@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from aerobalance.dynamics.rigid_body import RigidMass
+from aerobalance.motion.at_rest import tones
 from aerobalance.motion.changes import MotionChanges
 from aerobalance.motion.least_squares import GroundFit
 from aerobalance.motion.platform import PlatformMotion
@@ -343,6 +344,16 @@ def test_at_rest_is_zero_but_for_tones(rng):
     assert sum("beyond its noise" in text for text in motion.assumptions) == 2
 
 
+@pytest.mark.parametrize("samples", [64, 30, 8, 2])
+def test_tones_of_short_records_are_found(samples):
+    """All of 17 ordinates about a tone are kept: of a record of up to 16 samples everything but its mean."""
+    tone = np.cos(2 * np.pi * (samples // 4) * np.arange(samples) / samples)
+    found, share = tones(tone)
+    np.testing.assert_allclose(found, tone - tone.mean() if samples > 2 else 0.0, atol=1e-12)
+    kept = min(samples // 4 + 8, samples // 2) - max(samples // 4 - 8, 0) + 1 if samples > 2 else 0
+    assert share == pytest.approx(np.sqrt(kept / (samples // 2 + 1)), rel=1e-12)
+
+
 def test_tones_of_a_motion_at_rest_follow_the_channel_that_reads_them(rng):
     """Its motion is linear in the channel: a change of the tone, and an error of gain, come through whole."""
     clock = np.arange(4000) / RATE
@@ -508,6 +519,31 @@ def test_missing_readings_are_bridged_and_said():
     with pytest.warns(DataQualityWarning, match="3 missing"):
         motion = PlatformMotion.of(recording(Channel("ground_acceleration_z", values, "m/s^2", noise=1e-3)))
     assert np.isfinite(motion.specific_force).all()
+
+
+def interleaved(rng, axes):
+    """Accelerometers that a multiplexer reads in turn, each moved by 5 m/s^2 at 3 Hz."""
+    clock = np.arange(4000) / RATE
+    values = 5 * np.sin(2 * np.pi * 3 * clock) + 0.01 * rng.normal(size=(2, clock.size))
+    values[0, ::2] = values[1, 1::2] = np.nan
+    return recording(
+        *(
+            Channel(f"ground_acceleration_{i}", one, "m/s^2", noise=0.01, axis=axis)
+            for i, (one, axis) in enumerate(zip(values, axes, strict=True))
+        )
+    )
+
+
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")  # of the missing readings
+@pytest.mark.parametrize("other", ["NF", "AF"])
+def test_sensors_that_are_read_in_turn_are_not_at_rest(other, rng):
+    """Whether they read two axes, or one, so that no sample has a reading of both."""
+    motion = PlatformMotion.of(interleaved(rng, [VECTORS["AF"], VECTORS[other]]))
+    assert not [text for text in motion.assumptions if "at rest" in text and "AF" in text]
+    moved = 5 * np.sin(2 * np.pi * 3 * np.arange(4000) / RATE)
+    for name in {"AF", other}:
+        # every second reading is predicted, by a step of up to 2 pi 3 Hz * 5 m/s^2 * 1 ms
+        np.testing.assert_allclose(motion.acceleration[:, COMPONENTS.index(name)], moved, atol=0.1)
 
 
 def test_nothing_recorded_is_rest_and_gravity():

@@ -46,6 +46,12 @@ GAINS: Final = ("accelerometer gain", "turn sensor gain")
 TURNING: Final = "w x (w x r) by integrated turns"
 """Name of what is not known of the rate of turn."""
 
+ROUNDING: Final = 1e-9
+"""Share of a sensor in a motion, over the largest, up to which it has none."""
+
+FEWEST: Final = 64
+"""Samples from which it can be told that a motion shows nothing beyond its noise: they tell its variance to 18 %."""
+
 TOLD: Final = 0.01
 """Part of an accelerometer's noise from which the size of w x (w x r) in it is told."""
 
@@ -301,13 +307,14 @@ class MotionRecord:
         plain &= np.array([s.kind != "rate" for s in fit.sensors], dtype=bool)
         while True:
             left = self.readings - known @ fit.rows.T if said else self.readings
-            motion, spread = fit.motion(left), np.diag(fit.covariance)
-            if self._missing.any():
-                motion = np.where(self._missing[:, None], np.nan, motion)  # a line across a gap is no motion
+            spread = np.diag(fit.covariance)
+            motion, told = self._where_read(fit, fit.motion(left))
             ratios = {
                 column: float(np.nanvar(motion[:, column]) / spread[column])
                 for column in fit.columns
-                if spread[column] > 0 and not any(band.gains[column, ~plain].any() for band in fit.bands)
+                if told[column]
+                and spread[column] > 0
+                and not any(band.gains[column, ~plain].any() for band in fit.bands)
             }
             least = min(ratios, key=ratios.__getitem__, default=-1)
             if least < 0 or ratios[least] >= AT_REST:
@@ -322,11 +329,19 @@ class MotionRecord:
             )
             fit = fit.only(set(fit.columns) - {least})
 
-    @property
-    def _missing(self) -> NDArray[np.bool_]:
-        """Whether a sensor has no reading, shape (n,)."""
-        lost = [sensor.channel.missing for sensor in self.first.sensors]
-        return np.any(lost, axis=0) if lost else np.zeros(self.readings.shape[0], dtype=bool)
+    def _where_read(self, fit: GroundFit, motion: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Motions of shape (n, 6), NaN where a sensor of one has no reading, and which of them are still told, (6,).
+
+        A line across a gap is no motion, and a few samples beside one do not tell that there is none.
+        """
+        lost = np.column_stack([sensor.channel.missing for sensor in fit.sensors])
+        if not lost.any():
+            return motion, np.ones(6, dtype=bool)
+        sizes = np.max([np.abs(band.gains) for band in fit.bands], axis=0)
+        used = sizes > ROUNDING * sizes.max(axis=1, keepdims=True)
+        bridged = lost.astype(np.float64) @ used.T > 0
+        enough = min(FEWEST, len(motion) // 2)
+        return np.where(bridged, np.nan, motion), np.count_nonzero(~bridged, axis=0) >= enough
 
     def _told(self, found: Turning) -> Iterator[str]:
         """What is taken as zero or approximately because of what is not recorded."""
