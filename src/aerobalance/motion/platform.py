@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.motion.at_rest import AT_REST, tones
+from aerobalance.motion.attitude import Attitude
 from aerobalance.motion.consistency import Effect, check_agreement
 from aerobalance.motion.gaps import GAP
 from aerobalance.motion.least_squares import GroundFit
@@ -19,7 +20,6 @@ from aerobalance.motion.sensors import (
     driving_sensors,
     ground_sensors,
     motion_name,
-    on_clock_with_gaps,
     unseen,
 )
 from aerobalance.recording.channel import Array
@@ -34,8 +34,6 @@ from aerobalance.recording.components import (
     acceleration_name,
     driving_axis,
 )
-from aerobalance.recording.gravity import Gravity
-from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import held_by_delays
 from aerobalance.recording.sensors import corrected
@@ -189,44 +187,6 @@ def driven_column(component: str) -> int:
     return FORCE_ROWS[AXES.index(driving_axis(component))]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Gravity:
-    """Gravity at the angles that were recorded, and their noise."""
-
-    acceleration: Array
-    gravity: float
-    angles: dict[str, Array]
-    slopes: dict[str, Array]
-    noise: dict[str, float]
-    assumptions: tuple[str, ...]
-    gaps: dict[str, Array] = field(default_factory=dict)
-    delays: tuple[float, ...] = ()
-
-    @classmethod
-    def of(cls, recording: Recording, gravity: float, *, delay: float) -> _Gravity:
-        """Take the angles as if they had a delay [s], that of the sensors."""
-        nothing = np.zeros(recording.samples)
-        if "pitch" not in recording:
-            said = "pitch is not recorded and taken as constant; a constant weight is left out"
-            return cls(np.broadcast_to(0.0, (recording.samples, 6)), gravity, {}, {}, {}, (said,))
-        names = [name for name in ("pitch", "roll") if name in recording]
-        both = {name: on_clock_with_gaps(recording, recording.channel(name), delay) for name in names}
-        angles = {name: values for name, (values, _) in both.items()}
-        pull = Gravity.of(angles["pitch"], angles.get("roll", nothing), gravity=gravity)
-        noise = {name: channel_noise(recording.channel(name)) for name in names}
-        moving = [name for name in names if np.var(angles[name]) > AT_REST * noise[name] ** 2]
-        return cls(
-            pull.acceleration,
-            gravity,
-            angles,
-            {name: pull.slopes[name] for name in names},
-            noise,
-            (),
-            {name: gaps for name, (_, gaps) in both.items()},
-            tuple(recording.channel(name).delay for name in moving),
-        )
-
-
 def felt_of(fit: GroundFit, pull: Array) -> Array:
     """What the sensors that read specific force lack of a pull of shape (n, 6), shape (n, m)."""
     reading = np.array([sensor.reads_gravity for sensor in fit.sensors], dtype=np.float64)
@@ -255,7 +215,7 @@ class MotionRecord:
 
     recording: Recording
     first: GroundFit
-    pull: _Gravity
+    pull: Attitude
     readings: Array
     along: str | None
     delay: float
@@ -266,7 +226,7 @@ class MotionRecord:
         sensors = ground_sensors(recording) if along is None else driving_sensors(recording, along)
         clock = sensors[0].channel if sensors else recording.channels.get("pitch")
         delay = 0.0 if clock is None else clock.delay
-        pull = _Gravity.of(recording, gravity, delay=delay)
+        pull = Attitude.of(recording, gravity, delay=delay)
         fit = GroundFit.of(sensors, rate=recording.rate)
         readings = fit.readings(recording.samples) + felt_of(fit, pull.acceleration)
         return cls(recording, fit, pull, readings, along, delay)
