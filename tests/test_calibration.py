@@ -558,6 +558,19 @@ def test_loads_that_never_come_again_tell_no_repeatability(rng) -> None:
 
 
 @pytest.mark.parametrize("way", ["iterative", "non-iterative"])
+def test_a_series_of_confirmation_points_alone_has_no_tares(way: str, rng) -> None:
+    schedule = single_loads(random_balance(seed_from(rng), model="linear"), rng)
+    zeros = 0.02 + rng.normal(0, NOISE, (4, 6))
+    own = schedule.series == 4
+    calibration = calibrate(replace(schedule, natural_zeros=zeros, confirmation=own), model="linear", way=way)
+    for table in (calibration.tares, calibration.u_tares, calibration.tares_by_iteration):
+        assert np.isnan(table[4]).all()
+        assert np.isfinite(np.delete(table, 4, axis=0)).all()
+    assert np.isfinite(calibration.residuals).all()
+    assert np.isfinite(assess(calibration).confirmation).all()
+
+
+@pytest.mark.parametrize("way", ["iterative", "non-iterative"])
 def test_confirmation_points_of_a_series_of_their_own_count_from_their_mean(way: str, rng) -> None:
     """Where nothing is absolute, a change of the zero from series to series is no error of the matrix."""
     schedule = single_loads(random_balance(seed_from(rng), model="linear"), rng)
