@@ -13,11 +13,12 @@ from aerobalance.balance.calibration.fit import calibrate
 from aerobalance.balance.loads import Loads, loads_of_outputs, static_uncertainty
 from aerobalance.balance.matrix import BalanceMatrix, TemperatureEffect
 from aerobalance.balance.reduction import reduce_outputs
-from aerobalance.balance.terms import KINDS
+from aerobalance.balance.terms import KINDS, terms_of
 from aerobalance.balance.weighing import LoadPoints, Weighing, fit_weight
 from aerobalance.balance.wind_off import wind_off_loads
 from aerobalance.balance.zeros import GaugeZero, Zero, gauge_table, gauge_zero
 from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.components import COMPONENTS, MOMENTS
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, random_balance
@@ -47,6 +48,26 @@ def swinging(count: int, generator: np.random.Generator) -> Array:
     return 0.6 * CAPACITIES * np.sin(2 * np.pi * speeds * time[:, None] + phases)
 
 
+def linear_balance(coefficients: Array) -> BalanceMatrix:
+    """A balance of 100 N and N*m at 1 mV/V, whose bridges feel the loads over capacity by a matrix, (6, 6)."""
+    return BalanceMatrix(
+        components=COMPONENTS,
+        gauges=COMPONENTS,
+        way="iterative",
+        terms=terms_of("linear", 6),
+        coefficients=coefficients,
+        load_scale=np.full(6, 100.0),
+        output_scale=np.ones(6),
+        covariance=np.zeros((6, 6, 6)),
+        residual_deviation=np.full(6, 1e-4),
+        residual_correlation=np.eye(6),
+        degrees_of_freedom=np.full(6, 50),
+        calibrated=np.array([[-100.0] * 6, [100.0] * 6]),
+        natural_zero=None,
+        moments=np.array([name in MOMENTS for name in COMPONENTS]),
+    )
+
+
 def zeroed(outputs: Array) -> GaugeZero:
     return GaugeZero(outputs, np.zeros(6), "known", np.zeros(6), model_on=False)
 
@@ -73,6 +94,29 @@ def test_loads_of_a_known_balance_come_back(balance: BalanceMatrix, rng) -> None
     # the iteration ends at 1e-12 of capacity; sums of two loads, and noise-free outputs rounded at 1e-16 of 1 mV/V
     assert np.allclose(felt.values, in_direct(balance, native), atol=1e-10 * CAPACITIES.max(), rtol=0)
     assert not felt.beyond
+
+
+def test_bridges_that_are_read_one_after_the_other_are_brought_together(rng) -> None:
+    """As a multiplexer reads them, with a gap in one: loads of the instants in their middle."""
+    count, late = 2000, np.array([0.0, 0.4e-3, 0.8e-3, 1.2e-3, 1.6e-3, 2.0e-3])
+    time, turn = np.arange(count) / RATE, 2 * np.pi * np.array([60.0, 45.0, 30.0, 70.0, 20.0, 55.0])
+    balance = linear_balance(np.eye(6) + 0.05 * rng.normal(size=(6, 6)))
+
+    def loads_at(at: Array) -> Array:
+        return 50 * np.sin(turn * at[:, None])
+
+    outputs = np.column_stack([balance.outputs(loads_at(time - by))[:, i] for i, by in enumerate(late)])
+    outputs[1000:1004, 3] = np.nan
+    channels = {
+        f"r{name}": Channel(f"r{name}", column, "mV/V", delay=float(by))
+        for name, column, by in zip(balance.gauges, outputs.T, late, strict=True)
+    }
+    found = loads_of_outputs(Recording.from_columns(time, channels), balance, zero=NONE)
+    assert found.recording.channel("NF").delay == pytest.approx(late.mean())
+    error = np.abs(found.values - loads_at(time - late.mean()))[20:-20] / 50
+    assert np.nanmax(error) < 1e-5  # the interpolation errs by 3e-6 of a channel, which feels others by 5 %
+    # 0.2 samples after one that was read, each is made of ten from before and ten from after it
+    assert np.flatnonzero(np.isnan(found.values[20:-20, 0])).tolist() == list(range(980 - 10, 984 + 9))
 
 
 def test_a_zero_is_the_mean_and_its_drift_is_taken_off(balance: BalanceMatrix, rng) -> None:

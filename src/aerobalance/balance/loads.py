@@ -20,7 +20,7 @@ from aerobalance.balance.load_formats import FORM_MOMENTS, FORMS, Form, between_
 from aerobalance.balance.load_variance import load_variances
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.matrix_errors import MatrixErrors
-from aerobalance.balance.zeros import REPEATS, SAY_HOW_READ, GaugeZero, gauge_table
+from aerobalance.balance.zeros import REPEATS, SAY_HOW_READ, GaugeZero, delay_of_outputs, gauge_table
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, is_gauge
 from aerobalance.recording.doubts import Doubt
@@ -394,13 +394,12 @@ def _with_loads(recording: Recording, felt: Loads) -> Recording:
     """The recording, balance loads in the place of its gauge outputs."""
     channels = {name: channel for name, channel in recording.channels.items() if not is_gauge(name)}
     channels.pop("excitation", None)
-    delays = [channel.delay for channel in recording if is_gauge(channel.name) or channel.name in felt.components]
+    gauges = {name for name in recording.channels if is_gauge(name)}
+    # loads whose zero has changed are in the recording already
+    delay = delay_of_outputs(recording) if gauges else recording.channel(felt.components[0]).delay
     for index, (name, unit) in enumerate(zip(felt.components, felt.units, strict=True)):
         noise = float(felt.noise[index])
-        channels[name] = Channel(
-            name, felt.values[:, index], unit, noise=noise or None, delay=float(np.mean(delays)), file_unit=unit
-        )
-    gauges = {name for name in recording.channels if is_gauge(name)}
+        channels[name] = Channel(name, felt.values[:, index], unit, noise=noise or None, delay=delay, file_unit=unit)
     declared = recording.declared | (set(felt.components) if gauges and gauges <= recording.declared else set())
     return replace(
         recording,

@@ -20,6 +20,7 @@ from aerobalance.recording.errors import FitError, argument
 from aerobalance.recording.gravity import GravityOnZero
 from aerobalance.recording.noise import white_noise
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.resampling import on_one_delay
 from aerobalance.recording.sensors import corrected
 
 FEWEST: Final = 8
@@ -185,6 +186,7 @@ def gauge_table(recording: Recording, balance: BalanceMatrix) -> tuple[Array, tu
     """Gauge outputs in the order of the balance's bridges: shape (n, c) [mV/V], and their channels.
 
     Bridges are found by name (``r`` and the bridge's name), or by another usual name of the same thing (rAx, rAxial).
+    Where they were not read at once, they are brought to the instants in their middle, `delay_of_outputs`.
 
     Raises
     ------
@@ -205,7 +207,14 @@ def gauge_table(recording: Recording, balance: BalanceMatrix) -> tuple[Array, tu
                 f"{', '.join(names) or 'no gauge outputs (names beginning with r, such as rAF)'}"
             )
         chosen.append(ready.channel(found[0]))
-    return np.column_stack([channel.values for channel in chosen]), tuple(chosen)
+    table, delay = np.column_stack([channel.values for channel in chosen]), delay_of_outputs(recording)
+    return on_one_delay(table, chosen, delay=delay, interval=1 / recording.rate), tuple(chosen)
+
+
+def delay_of_outputs(recording: Recording) -> float:
+    """Mean of the times by which the gauge outputs of a recording lag the clock [s]; 0 where it has none."""
+    delays = [channel.delay for channel in recording if is_gauge(channel.name)]
+    return float(np.mean(delays)) if delays else 0.0
 
 
 def gauge_zero(
