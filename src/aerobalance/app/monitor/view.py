@@ -16,6 +16,7 @@ from aerobalance.acquisition.fouling import ContactFinder
 from aerobalance.acquisition.guards import ContactCircuit, felt, load_columns, loads_of
 from aerobalance.acquisition.intake import contact_text
 from aerobalance.acquisition.source import Block
+from aerobalance.app.monitor.aligned_loads import AlignedLoads
 from aerobalance.app.monitor.health import health_of, is_still, verdict_on
 from aerobalance.app.monitor.messages import LINES, ShownForce, ShownReading, Update
 from aerobalance.app.monitor.minmax_strips import Extremes
@@ -155,6 +156,10 @@ class View:
         self._contact = circuit and ContactFinder(circuit.level, hold=circuit.hold, closed_above=circuit.closed_above)
         self._continuity = Continuity(panel.rate, clocked=panel.clocked)
         self._streams = _followed(panel)
+        self._aligned = None
+        if self._gauges is not None:
+            late = [panel.rate * (delay - panel.delays[-1]) for delay in panel.delays]
+            self._aligned = AlignedLoads(self._gauges, loads=len(panel.channels), late=late)
         self.lines = {name: live for live, _ in self._streams for name in live.components}
         width = max([panel.width, *(line.factor for line in self.lines.values())])
         self.width = width
@@ -183,6 +188,8 @@ class View:
         self._offsets[:] = [given.get(name, 0.0) for name in self.panel.names]
         self._means, self._held, self._held_rows = [], [], 0
         self._estimates = {name: [] for name in self.lines}
+        if self._aligned is not None:
+            self._aligned.forget()
         for live, _ in self._streams:
             live.restart()
 
@@ -275,6 +282,8 @@ class View:
 
     def _final(self, tick: int, values: Array) -> list[tuple[str, LiveEstimate]]:
         """Samples of the forces that have become final by readings of all channels, SI."""
+        if self._aligned is not None:
+            tick, values = self._aligned.push(tick, values, offsets=self._offsets)
         found = [live.push(values[:, columns], first=tick) for live, columns in self._streams]
         return [(name, piece) for forces in found for name, piece in forces.items() if piece.force.size]
 
