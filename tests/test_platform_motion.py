@@ -268,6 +268,10 @@ def test_a_rate_of_turn_that_rises_steadily_is_a_turn(rng):
     found = PlatformMotion.of(Recording.from_columns(time, {channel.name: still}))
     assert not found.acceleration.any()
     assert "shows nothing beyond its noise" in " ".join(found.assumptions)
+    turning = dataclasses.replace(still, values=still.values + 1.0)
+    found = PlatformMotion.of(Recording.from_columns(time, {channel.name: turning}))
+    (said,) = [text for text in found.assumptions if channel.name in text]
+    assert "no change beyond its noise and is not used; its mean of 1 rad/s may be a steady turn or its zero" in said
 
 
 def test_motion_that_no_sensor_sees_is_named():
