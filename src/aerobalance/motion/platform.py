@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.dynamics.rigid_body import RigidMass
-from aerobalance.motion.assumptions import taken_as_zero
+from aerobalance.motion.assumptions import check_roll, taken_as_zero
 from aerobalance.motion.at_rest import AT_REST, tones
 from aerobalance.motion.consistency import Effect, check_agreement
 from aerobalance.motion.gaps import GAP, filled
@@ -187,7 +187,8 @@ class _Gravity:
     def of(cls, recording: Recording, gravity: float) -> _Gravity:
         nothing = np.zeros(recording.samples)
         if "pitch" not in recording:
-            said = "pitch is not recorded and taken as constant; a constant weight is left out"
+            rolled = ", and the roll with it" if "roll" in recording else ""
+            said = f"pitch is not recorded and taken as constant{rolled}; a constant weight is left out"
             return cls(np.broadcast_to(0.0, (recording.samples, 6)), gravity, {}, {}, {}, (said,))
         names = [name for name in ("pitch", "roll") if name in recording]
         both = {name: filled(recording.channel(name)) for name in names}
@@ -245,6 +246,8 @@ class MotionRecord:
         """Take the sensors and angles of a corrected recording; the arguments are those of `PlatformMotion.of`."""
         sensors = ground_sensors(recording) if along is None else driving_sensors(recording, along)
         pull = _Gravity.of(recording, gravity)
+        if not any(sensor.reads_gravity for sensor in sensors):
+            check_roll(recording, along=along, gravity=gravity)
         fit = GroundFit.of(sensors, rate=recording.rate)
         return cls(recording, fit, pull, _kinematic(fit, pull, recording.samples), along)
 
