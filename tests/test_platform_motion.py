@@ -268,6 +268,10 @@ def test_a_rate_of_turn_that_rises_steadily_is_a_turn(rng):
     found = PlatformMotion.of(Recording.from_columns(time, {channel.name: still}))
     assert not found.acceleration.any()
     assert "shows nothing beyond its noise" in " ".join(found.assumptions)
+    turning = dataclasses.replace(still, values=still.values + 1.0)
+    found = PlatformMotion.of(Recording.from_columns(time, {channel.name: turning}))
+    (said,) = [text for text in found.assumptions if channel.name in text]
+    assert "no change beyond its noise and is not used; its mean of 1 rad/s may be a steady turn or its zero" in said
 
 
 def test_motion_that_no_sensor_sees_is_named():
@@ -551,6 +555,23 @@ def test_nothing_recorded_is_rest_and_gravity():
     assert not motion.acceleration.any() and any("at rest" in text for text in motion.assumptions)
     body = RigidMass(2.0, np.zeros(3), np.eye(3))
     np.testing.assert_allclose(motion.force(body), body.weight(np.full(100, 0.3)), atol=1e-12)
+
+
+@pytest.mark.parametrize("along", [None, "SF", "AF"])
+def test_a_roll_without_a_pitch_is_not_passed_over(along, rng):
+    """At level pitch a roll from 0 to 180 deg swings the weight once up and down: AF feels nothing of it."""
+    noise = 1e-4 * rng.normal(size=2000)
+    roll = Channel("roll", np.linspace(0, np.pi, 2000) + noise, "rad", noise=1e-4)
+    still = dataclasses.replace(roll, values=noise)
+    expected = {None: 1 / np.sqrt(2), "SF": np.sqrt(1 / 2 - (2 / np.pi) ** 2)}  # rms of cos and of sin less its mean
+    if along in expected:
+        size = f"changes it by {expected[along] * STANDARD_GRAVITY:.2g} m/s"
+        with pytest.warns(DataQualityWarning, match=size):
+            motion = PlatformMotion.of(recording(roll), along=along)
+    else:
+        motion = PlatformMotion.of(recording(roll), along=along)
+    assert any("taken as constant, and the roll with it" in text for text in motion.assumptions)
+    PlatformMotion.of(recording(still), along=along)  # warns of nothing
 
 
 def test_accelerometer_without_an_axis_is_refused():

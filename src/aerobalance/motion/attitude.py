@@ -52,7 +52,8 @@ class Attitude:
         """Take the angles as if they had a delay [s], that of the sensors."""
         nothing = np.zeros(recording.samples)
         if "pitch" not in recording:
-            said = "pitch is not recorded and taken as constant; a constant weight is left out"
+            rolled = ", and the roll with it" if "roll" in recording else ""
+            said = f"pitch is not recorded and taken as constant{rolled}; a constant weight is left out"
             return cls(np.broadcast_to(0.0, (recording.samples, 6)), gravity, {}, {}, {}, (said,))
         names = [name for name in ("pitch", "roll") if name in recording]
         both = {name: on_clock_with_gaps(recording, recording.channel(name), delay) for name in names}

@@ -10,18 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.dynamics.rigid_body import RigidMass
+from aerobalance.motion.assumptions import check_roll, taken_as_zero
 from aerobalance.motion.at_rest import AT_REST, tones
 from aerobalance.motion.attitude import Attitude
 from aerobalance.motion.consistency import Effect, check_agreement
 from aerobalance.motion.gaps import GAP
 from aerobalance.motion.least_squares import GroundFit
 from aerobalance.motion.rotation import Turning
-from aerobalance.motion.sensors import (
-    driving_sensors,
-    ground_sensors,
-    motion_name,
-    unseen,
-)
+from aerobalance.motion.sensors import driving_sensors, ground_sensors, motion_name
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import (
     AXES,
@@ -49,9 +45,6 @@ ROUNDING: Final = 1e-9
 
 FEWEST: Final = 64
 """Samples from which it can be told that a motion shows nothing beyond its noise: they tell its variance to 18 %."""
-
-TOLD: Final = 0.01
-"""Part of an accelerometer's noise from which the size of w x (w x r) in it is told."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -227,6 +220,8 @@ class MotionRecord:
         clock = sensors[0].channel if sensors else recording.channels.get("pitch")
         delay = 0.0 if clock is None else clock.delay
         pull = Attitude.of(recording, gravity, delay=delay)
+        if not any(sensor.reads_gravity for sensor in sensors):
+            check_roll(recording, along=along, gravity=gravity)
         fit = GroundFit.of(sensors, rate=recording.rate)
         readings = fit.readings(recording.samples) + felt_of(fit, pull.acceleration)
         return cls(recording, fit, pull, readings, along, delay)
@@ -307,7 +302,7 @@ class MotionRecord:
         """What is taken as zero or approximately because of what is not recorded."""
         reads_gravity = False
         if self.along is None:
-            yield from _told(self.first, found)
+            yield from taken_as_zero(self.first, found)
         elif not self.first.sensors:
             name = acceleration_name("ground", self.along)
             yield f"{name} is not recorded; the ground end is taken to be at rest along {self.along}"
@@ -391,33 +386,3 @@ class MotionRecord:
         """Share of a sensor in every motion, shape (6,): by so much the gain of its tones is its own."""
         index = [sensor.channel.name for sensor in self.first.sensors].index(name)
         return np.asarray(self.first.bands[0].gains[:, index] * self.first.rows[index])
-
-
-def _told(first: GroundFit, found: Turning) -> Iterator[str]:
-    """What is taken as zero or approximately because of what the sensors of six motions do not see."""
-    names = [sensor.channel.name for sensor in first.sensors]
-    if not names:
-        yield "no ground acceleration is recorded; the ground end is taken to be at rest"
-        return
-    for index, sensor in enumerate(first.sensors):
-        if sensor.kind == "rate" and first.reach[index] == 0:
-            yield f"{names[index]} shows nothing beyond its noise and is not used"
-    used = np.any([band.used for band in first.bands], axis=0)
-    yield from unseen(first.rows[used], first.columns)
-    for band in first.bands[1:]:
-        lost = [motion_name(column) for column in first.columns if column not in band.columns]
-        if lost:
-            yield f"the ground's {', '.join(lost)} is taken as zero above {band.low:.3g} Hz, where no sensor shows it"
-    turns = any(turn in first.columns for turn in MOMENT_ROWS)
-    bare = [s.channel.name for s in first.sensors if s.kind == "acceleration" and s.channel.place is None]
-    if turns and bare:
-        yield f"{', '.join(bare)}: no place is given, so the balance's centre is taken for it"
-    yield from found.assumptions
-    sizes = np.sqrt(np.mean(found.felt**2, axis=0))
-    large = any(size > TOLD * sensor.noise and size > 0 for size, sensor in zip(sizes, first.sensors, strict=True))
-    if large and found.removed:
-        most = float(np.max(np.abs(found.felt)))
-        yield (
-            f"w x (w x r) of the accelerometers' places, up to {most:.3g} m/s^2, is taken off "
-            "with the rate of turn as recorded, or else integrated less a straight line, which lacks a steady turn"
-        )
