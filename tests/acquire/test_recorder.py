@@ -303,6 +303,24 @@ def test_largest_size_of_a_file_ends_the_record_cleanly(tmp_path) -> None:
     assert read(file).samples == recorder.progress.samples
 
 
+def test_note_that_finds_no_room_ends_the_record_as_a_block_does(tmp_path) -> None:
+    file = tmp_path / "run.h5"
+    with Session(setup_of(more='trigger = "call"\n'), tmp_path) as session:
+        recorder = session.record(file)
+        recorder.ready()
+        size = file.stat().st_size
+        resource.prlimit(recorder.process.pid, resource.RLIMIT_FSIZE, (size, size))
+        for _ in range(40):  # the table of events grows by 16 rows
+            recorder.tell(RecorderCommand("note", "heard"))
+        while not recorder.poll(0.2).over:
+            pass
+        recorder.process.join(5.0)
+        assert recorder.process.exitcode == 0
+    assert recorder.progress.full
+    assert recorder.progress.reason.startswith("disk full: the disk, its quota or the largest size")
+    assert contents(file).reason == recorder.progress.reason
+
+
 def test_full_file_system_ends_the_record_cleanly(tmp_path) -> None:
     small = tmp_path / "small"
     small.mkdir()
