@@ -117,6 +117,16 @@ def test_pre_trigger_puts_time_zero_at_the_trigger(tmp_path) -> None:
     assert take.progress.events == 2
 
 
+def test_note_that_comes_after_the_last_sample_leaves_the_record_as_it_is(tmp_path) -> None:
+    take = RecordWriter(job(tmp_path / "run.h5", length=100))
+    take.feed(Block(0, truth(0, 200), 0.0))
+    ended, content = take.progress, (tmp_path / "run.h5").read_bytes()
+    assert ended.state == "ended"
+    take.note("note", "pressed in the last instant")
+    assert take.progress == ended
+    assert (tmp_path / "run.h5").read_bytes() == content
+
+
 def test_disk_is_watched_and_what_fits_is_kept(tmp_path, monkeypatch) -> None:
     take = RecordWriter(job(tmp_path / "run.h5"))
     take.feed(Block(0, truth(0, 128), 0.0))

@@ -164,7 +164,9 @@ class RecordWriter:
         return self._write(self.intake.flush())
 
     def note(self, kind: str, text: str, *, at: float | None = None) -> None:
-        """Write down an event at the present tick, or at that of a time on the steady clock [s]."""
+        """Write down an event at the present tick, or at that of a time on the steady clock [s]; not after the end."""
+        if self.progress.over:
+            return
         self._write([Event(self.intake.continuity.tick_at(at), kind, text)])
 
     def end(self, reason: str) -> None:
