@@ -311,6 +311,8 @@ def test_largest_size_of_a_file_ends_the_record_cleanly(tmp_path) -> None:
     assert len(stored(file)) == recorder.progress.samples
     assert contents(file).reason == recorder.progress.reason
     assert read(file).samples == recorder.progress.samples
+    # no second name is left, which would keep the space in use when the file is deleted
+    assert [path.name for path in tmp_path.iterdir()] == ["run.h5"]
 
 
 def test_note_that_finds_no_room_ends_the_record_as_a_block_does(tmp_path) -> None:
@@ -329,6 +331,7 @@ def test_note_that_finds_no_room_ends_the_record_as_a_block_does(tmp_path) -> No
     assert recorder.progress.full
     assert recorder.progress.reason.startswith("disk full: the disk, its quota or the largest size")
     assert contents(file).reason == recorder.progress.reason
+    assert [path.name for path in tmp_path.iterdir()] == ["run.h5"]
 
 
 def test_full_file_system_ends_the_record_cleanly(tmp_path) -> None:

@@ -286,6 +286,8 @@ class RecordWriter:
         with contextlib.suppress(OSError):
             self.writer.abandon(reason)
         self._set(state="ended", reason=reason, full=True, free=self._free())
+        if not self._gone:  # else what the file holds is still to be copied
+            self.held.release()
 
     def _free(self) -> int:
         try:
