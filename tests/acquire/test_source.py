@@ -1,12 +1,16 @@
 """Blocks: packed and unpacked, and put in their places where the count of a device began anew."""
 
+import time
 from multiprocessing import Pipe
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
+from aerobalance.acquisition import feed
 from aerobalance.acquisition.continuity import Continuity
-from aerobalance.acquisition.feed import _Outlet
-from aerobalance.acquisition.source import Block
+from aerobalance.acquisition.feed import Address, Feed, _Outlet, _SourceServer
+from aerobalance.acquisition.source import Block, SourceChannel
 
 
 def block_at(tick, received, *, rows=10, remark="", anew=False):
@@ -59,3 +63,23 @@ def test_a_receiver_that_missed_the_new_count_is_told_later(monkeypatch) -> None
     assert (told.tick, told.anew) == (20, True)
     assert "2 block(s) lost" in told.remark
     assert (after.tick, after.anew) == (30, False)
+
+
+@pytest.fixture
+def server(tmp_path):
+    channels = (SourceChannel("AF", "N"), SourceChannel("NF", "N"))
+    source = SimpleNamespace(channels=channels, rate=100.0, clocked=True, patient=True, description="", controls=())
+    made = _SourceServer(source, Address(str(tmp_path / "socket"), b"key"))
+    yield made
+    made.finish("over", hurry=True)
+
+
+def test_a_block_larger_than_what_is_kept_of_the_last_seconds_is_given(server, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(feed, "RECENT_BYTES", 100)
+    with_recent = Feed(Address(str(tmp_path / "socket"), b"key"), viewer=False, recent=True)
+    while not server.outlets:
+        time.sleep(0.001)
+    for tick in (0, 10):
+        server.give(block_at(tick, 1.0), print)
+        assert with_recent.take().tick == tick
+    with_recent.close()

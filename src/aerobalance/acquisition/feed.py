@@ -257,7 +257,9 @@ class _SourceServer:
     def _keep(self, block: Block) -> None:
         self._recent.append(block)
         self._recent_bytes += block.samples.nbytes
-        while self._recent_bytes > RECENT_BYTES or block.received > self._recent[0].received + RECENT:
+        while self._recent and (
+            self._recent_bytes > RECENT_BYTES or block.received > self._recent[0].received + RECENT
+        ):
             self._recent_bytes -= self._recent.popleft().samples.nbytes
 
     def give(self, block: Block, say: Callable[[SourceMessage], None]) -> None:
