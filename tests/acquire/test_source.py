@@ -1,5 +1,6 @@
 """Blocks: packed and unpacked, and put in their places where the count of a device began anew."""
 
+import threading
 import time
 from multiprocessing import Pipe
 from types import SimpleNamespace
@@ -83,3 +84,29 @@ def test_a_block_larger_than_what_is_kept_of_the_last_seconds_is_given(server, t
         server.give(block_at(tick, 1.0), print)
         assert with_recent.take().tick == tick
     with_recent.close()
+
+
+def test_a_receiver_that_comes_while_another_goes_is_not_forgotten(server) -> None:
+    """It comes at the very moment at which the receivers without the one that is gone are listed."""
+    given: list[int] = []
+    new = SimpleNamespace(
+        give=lambda block, *, patient: given.append(block.tick), sender=SimpleNamespace(broken=False)
+    )
+    arrival = threading.Thread(target=server._add, args=(new,), kwargs={"recent": False})
+
+    class Listed(list):
+        def __iter__(self):
+            if arrival.ident is None:
+                arrival.start()
+                arrival.join(0.2)
+            return super().__iter__()
+
+    def give(block, *, patient):
+        server.outlets = Listed(server.outlets)
+
+    server.outlets = [SimpleNamespace(viewer=True, give=give, sender=SimpleNamespace(broken=True))]
+    server.give(block_at(0, 1.0), lambda _: None)
+    arrival.join()
+    server.give(block_at(10, 1.1), lambda _: None)
+    server.outlets = []
+    assert given == [10]

@@ -270,7 +270,8 @@ class _SourceServer:
         for outlet in outlets:
             outlet.give(block, patient=self.source.patient)
             if outlet.sender.broken:
-                self.outlets = [other for other in self.outlets if other is not outlet]
+                with self._changing:  # somebody else may be coming in
+                    self.outlets = [other for other in self.outlets if other is not outlet]
                 say(SourceMessage("lost", "a viewer" if outlet.viewer else "a recorder"))
 
     def finish(self, reason: str, *, hurry: bool) -> None:
