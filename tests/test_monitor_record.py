@@ -1,13 +1,17 @@
-"""The record button, names and lengths, what a record's files are, and replays, on the page's server."""
+"""The record button, names and lengths, what a record's files are, tasks, and replays, on the page's server."""
 
 from __future__ import annotations
 
+import queue
+import threading
 import time
 
 import numpy as np
 import pytest
 
 from aerobalance.app.monitor.folder import Folder
+from aerobalance.app.monitor.jobs import TaskOutcome
+from aerobalance.app.monitor.workers import Jobs
 from aerobalance.io.hdf5_contents import contents
 from helpers.running_page import Running
 
@@ -151,3 +155,28 @@ def test_a_replay_shorter_than_a_second_is_shown_whole(tmp_path, loop) -> None:
         assert not any("cannot be watched" in item["text"] for item in running.page.session.log.messages)
         # 0.4 s are two spans of 0.2 s: the page has had numbers
         assert running.page.display.numbers["readings"]["AF"]["largest"] == pytest.approx(100, abs=1)
+
+
+def test_tasks_that_wait_are_given_up_with_the_one_under_way(tmp_path, monkeypatch) -> None:
+    begun, ended, words = [], threading.Event(), queue.Queue()
+
+    def do(self, task):
+        begun.append(task.number)
+        assert ended.wait(10.0)
+        return TaskOutcome(task.number, True)
+
+    monkeypatch.setattr(Jobs, "_do", do)
+    jobs = Jobs(lambda task, outcome: words.put((task.number, outcome)))
+    numbers = [jobs.add("info", [str(tmp_path / "run.h5")], {}).number for _ in range(3)]
+    assert words.get(timeout=10.0) == (numbers[0], None)
+    jobs.cancel()
+    told = dict(words.get(timeout=10.0) for _ in numbers[1:])
+    assert {number: outcome.done for number, outcome in told.items()} == dict.fromkeys(numbers[1:], False)
+    ended.set()
+    number, outcome = words.get(timeout=10.0)
+    assert (number, outcome.done) == (numbers[0], True)
+    # a task after that is done as any other
+    after = jobs.add("info", [str(tmp_path / "run.h5")], {}).number
+    assert [words.get(timeout=10.0)[0] for _ in range(2)] == [after, after]
+    jobs.close()
+    assert begun == [numbers[0], after]
