@@ -157,6 +157,18 @@ def test_a_replay_shorter_than_a_second_is_shown_whole(tmp_path, loop) -> None:
         assert running.page.display.numbers["readings"]["AF"]["largest"] == pytest.approx(100, abs=1)
 
 
+def test_controls_are_shown_as_the_source_has_them(tmp_path) -> None:
+    with Running(tmp_path, rig="vibration") as page:
+        before = page.wait(lambda state: True)["source"]["controls"]
+        assert before["frequency"] == 100.0
+        page.post("control", name="frequency", value=120.0)
+        page.post("control", name="frequency", value=1e6)
+        page.post("control", name="amplitude", value=20.0)
+        page.wait(lambda state: state["source"]["controls"]["amplitude"] == 20.0)
+        state = page.wait(lambda state: any("must be above 0" in said["text"] for said in state["messages"]))
+        assert state["source"]["controls"] == before | {"frequency": 120.0, "amplitude": 20.0}
+
+
 def test_tasks_that_wait_are_given_up_with_the_one_under_way(tmp_path, monkeypatch) -> None:
     begun, ended, words = [], threading.Event(), queue.Queue()
 
