@@ -1,7 +1,9 @@
-"""The record button, names and lengths, what a record's files are, and replays, on the page's server."""
+"""The record button, names and lengths, what a record's files are, tasks, and replays, on the page's server."""
 
 from __future__ import annotations
 
+import queue
+import threading
 import time
 from types import SimpleNamespace
 
@@ -10,6 +12,8 @@ import pytest
 
 from aerobalance.app.monitor import stepped_sine
 from aerobalance.app.monitor.folder import Folder
+from aerobalance.app.monitor.jobs import TaskOutcome
+from aerobalance.app.monitor.workers import Jobs
 from aerobalance.io.hdf5_contents import contents
 from helpers.running_page import Running
 
@@ -199,3 +203,40 @@ def test_a_stepped_sine_run_needs_a_mass() -> None:
     with pytest.raises(ValueError, match="needs the moving mass along AF"):
         stepped_sine.SteppedSineRun(rig, rig, rig, rig, taken=())
     assert not rig.begun
+
+
+def test_controls_are_shown_as_the_source_has_them(tmp_path) -> None:
+    with Running(tmp_path, rig="vibration") as page:
+        before = page.wait(lambda state: True)["source"]["controls"]
+        assert before["frequency"] == 100.0
+        page.post("control", name="frequency", value=120.0)
+        page.post("control", name="frequency", value=1e6)
+        page.post("control", name="amplitude", value=20.0)
+        page.wait(lambda state: state["source"]["controls"]["amplitude"] == 20.0)
+        state = page.wait(lambda state: any("must be above 0" in said["text"] for said in state["messages"]))
+        assert state["source"]["controls"] == before | {"frequency": 120.0, "amplitude": 20.0}
+
+
+def test_tasks_that_wait_are_given_up_with_the_one_under_way(tmp_path, monkeypatch) -> None:
+    begun, ended, words = [], threading.Event(), queue.Queue()
+
+    def do(self, task):
+        begun.append(task.number)
+        assert ended.wait(10.0)
+        return TaskOutcome(task.number, True)
+
+    monkeypatch.setattr(Jobs, "_do", do)
+    jobs = Jobs(lambda task, outcome: words.put((task.number, outcome)))
+    numbers = [jobs.add("info", [str(tmp_path / "run.h5")], {}).number for _ in range(3)]
+    assert words.get(timeout=10.0) == (numbers[0], None)
+    jobs.cancel()
+    told = dict(words.get(timeout=10.0) for _ in numbers[1:])
+    assert {number: outcome.done for number, outcome in told.items()} == dict.fromkeys(numbers[1:], False)
+    ended.set()
+    number, outcome = words.get(timeout=10.0)
+    assert (number, outcome.done) == (numbers[0], True)
+    # a task after that is done as any other
+    after = jobs.add("info", [str(tmp_path / "run.h5")], {}).number
+    assert [words.get(timeout=10.0)[0] for _ in range(2)] == [after, after]
+    jobs.close()
+    assert begun == [numbers[0], after]
