@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from aerobalance.app.campaign.definition import Axes, Placed, Pressure
 from aerobalance.app.campaign.reduction import RunSettings, frames_of, reduce_run
+from aerobalance.recording.channel import Channel
 from aerobalance.uncertainty.repeats import trend
 from helpers.axial_runs import RATE, run_of, spring
 
@@ -78,3 +81,20 @@ def test_what_is_asked_for_and_not_there_is_named(rng):
         reduce_run(run, dynamics, columns={"q": -1}, settings=RunSettings(pressure=Pressure(column="q")))
     with pytest.raises(ValueError, match="column alpha must be a number of degrees, not 'up'"):
         reduce_run(run, dynamics, columns={"alpha": "up"})
+
+
+@pytest.mark.parametrize(("unit", "reading"), [("Pa", 1500.0), ("kPa", 1.5), ("mbar", 15.0)])
+def test_a_pressure_that_was_recorded_is_taken_in_its_own_unit(rng, unit, reading):
+    run = run_of(rng)
+    values = np.full(run.samples, reading)
+    values[10:20] = np.nan
+    recorded = replace(run, channels={**run.channels, "q": Channel("q", values, unit)})
+    found = reduce_run(recorded, spring(), settings=RunSettings(pressure=Pressure(channel="q")))
+    assert found.flow.pressure == pytest.approx(1500.0, rel=1e-12)
+
+
+def test_a_channel_in_no_unit_of_pressure_is_no_pressure(rng):
+    run = run_of(rng)
+    recorded = replace(run, channels={**run.channels, "q": Channel("q", np.ones(run.samples), "V")})
+    with pytest.raises(ValueError, match="in channel q, which is in V; allowed: Pa, hPa, kPa"):
+        reduce_run(recorded, spring(), settings=RunSettings(pressure=Pressure(channel="q")))

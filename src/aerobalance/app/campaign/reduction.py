@@ -15,6 +15,7 @@ from aerobalance.app.campaign.definition import (
     Reference,
     Spectrum,
 )
+from aerobalance.app.campaign.run_table import PRESSURES
 from aerobalance.balance.calibration.fit import Calibration
 from aerobalance.balance.loads import Loads
 from aerobalance.balance.matrix import BalanceMatrix
@@ -26,6 +27,7 @@ from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.resonance_change import ResonanceChange, resonance_changes
 from aerobalance.estimation.force import ForceWork
 from aerobalance.estimation.forces import ForceSettings
+from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.frames import Frame, angles_of_attitude
 from aerobalance.recording.recording import Recording
@@ -162,7 +164,8 @@ def reduce_run(
     model = dynamics_of(dynamics)
     gravity = settings.force.gravity
     means = {name: float(np.nanmean(one.values)) for name, one in run.channels.items() if not one.missing.all()}
-    flow = flow_of(columns, means, settings)  # before the long work
+    pressure = pressure_of(settings.pressure, columns, run)  # before the long work
+    flow = flow_of(columns, means, settings, pressure=pressure)
 
     def made_ready(given: Recording | Loads) -> Recording | Loads:
         if balance is None or isinstance(given, Loads):
@@ -202,15 +205,17 @@ def sizes_of(reference: Reference | None) -> ReferenceSizes | None:
     return None if reference is None else ReferenceSizes(reference.area, reference.chord, reference.span)
 
 
-def flow_of(columns: Mapping[str, object], means: Mapping[str, float], settings: RunSettings) -> Flow:
-    """Angles of the body and dynamic pressure of a run, from its columns or from the means of its channels.
+def flow_of(
+    columns: Mapping[str, object], means: Mapping[str, float], settings: RunSettings, *, pressure: float | None = None
+) -> Flow:
+    """Angles of the body of a run, from its columns or from the means of its channels, with its dynamic pressure.
 
     The channels have the attitude of the balance; the body's is that and its place in the balance.
 
     Raises
     ------
     ValueError
-        A column or channel that is named is not there, or is no number.
+        A column that is named is not there, or is no number.
     """
     body = frames_of(settings.axes)[0]
     alpha, beta = angles_of_attitude(means.get("pitch", 0.0), means.get("roll", 0.0), body)
@@ -231,14 +236,14 @@ def flow_of(columns: Mapping[str, object], means: Mapping[str, float], settings:
         beta=found["beta"],
         u_angle=float(np.radians(settings.u_angle)),
         u_angle_run=float(np.radians(settings.u_angle_run)),
-        pressure=pressure_of(settings.pressure, columns, means),
+        pressure=pressure,
         u_pressure=0.0 if settings.pressure is None else settings.pressure.u,
         u_pressure_run=0.0 if settings.pressure is None else settings.pressure.u_run,
         known=told,
     )
 
 
-def pressure_of(rule: Pressure | None, columns: Mapping[str, object], means: Mapping[str, float]) -> float | None:
+def pressure_of(rule: Pressure | None, columns: Mapping[str, object], run: Recording) -> float | None:
     """Dynamic pressure of a run [Pa]; None where none is asked for.
 
     Raises
@@ -253,9 +258,20 @@ def pressure_of(rule: Pressure | None, columns: Mapping[str, object], means: Map
     if rule.column is not None:
         found, where = columns.get(rule.column), f"column {rule.column}"
     else:
-        found, where = means.get(rule.channel or ""), f"channel {rule.channel}"
+        name = rule.channel or ""
+        found, where = _mean_pressure(run.channel(name)) if name in run else None, f"channel {name}"
     if found is None:
         raise ValueError(f"the dynamic pressure should be in {where}, which this run does not have")
     if not isinstance(found, int | float) or isinstance(found, bool) or not 0 < found < np.inf:
         raise ValueError(f"the dynamic pressure in {where} must be above 0 Pa, not {found!r}")
     return float(found)
+
+
+def _mean_pressure(channel: Channel) -> float | None:
+    """Mean of a channel in Pa, as its file has it in its own unit; None where it has no reading."""
+    if channel.unit not in PRESSURES:
+        raise ValueError(
+            f"the dynamic pressure should be in channel {channel.name}, which is in {channel.unit or 'no unit'}; "
+            f"allowed: {', '.join(PRESSURES)}"
+        )
+    return None if channel.missing.all() else PRESSURES[channel.unit] * float(np.nanmean(channel.values))
