@@ -7,8 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import aerobalance as ab
 from aerobalance.app.campaign.definition import Axes, Placed, Pressure
-from aerobalance.app.campaign.reduction import RunSettings, frames_of, reduce_run
+from aerobalance.app.campaign.reduction import RunSettings, flow_of, frames_of, reduce_run
+from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.recording.channel import Channel
 from aerobalance.uncertainty.repeats import trend
 from helpers.axial_runs import RATE, run_of, spring
@@ -98,3 +100,39 @@ def test_a_channel_in_no_unit_of_pressure_is_no_pressure(rng):
     recorded = replace(run, channels={**run.channels, "q": Channel("q", np.ones(run.samples), "V")})
     with pytest.raises(ValueError, match="in channel q, which is in V; allowed: Pa, hPa, kPa"):
         reduce_run(recorded, spring(), settings=RunSettings(pressure=Pressure(channel="q")))
+
+
+def test_zero_and_gain_of_the_angle_count_where_the_angle_is_from_it(rng):
+    """By an angle that is off by u, lift L and drag D are off by -D u and L u."""
+    samples, pitch, u, gain = 800, np.radians(10.0), np.radians(0.3), 0.02
+    dynamics = {name: ab.Dynamics(name, mass=1e-3, stiffness=1e5, damping=0.4) for name in ("AF", "NF")}  # no weight
+
+    def found(columns, **stated):
+        channels = {name: Channel(name, 50.0 + rng.normal(0, 0.1, samples), "N") for name in dynamics}
+        channels["pitch"] = Channel("pitch", np.full(samples, pitch), "rad", **stated)
+        run = ab.Recording.from_columns(np.arange(samples) / RATE, channels)
+        return reduce_run(run, dynamics_of(dynamics), columns=columns)
+
+    off = np.hypot(u, gain * pitch)
+    wind = found({}, zero_uncertainty=u, relative_uncertainty=gain).axes["wind"]
+    lift, drag = wind.values[[0, 5]]
+    covariance = wind.errors.common[np.ix_([0, 5], [0, 5])]
+    expected = off**2 * np.outer([-drag, lift], [-drag, lift])
+    np.testing.assert_allclose(covariance, expected, atol=1e-4 * off**2 * lift**2)
+    of_table = found({"alpha": 10.0, "beta": 0.0}, zero_uncertainty=u, relative_uncertainty=gain)
+    assert of_table.flow.by_sensors == ((0.0, 0.0), (0.0, 0.0))
+
+
+def test_an_angle_of_roll_is_sideslip_by_the_sine_of_pitch():
+    # sin(beta) = sin(pitch) sin(roll) and tan(alpha) = tan(pitch) cos(roll) of a body with the axes of its balance
+    pitch = 0.3
+    flow = flow_of({}, {"pitch": pitch, "roll": 0.0}, RunSettings(), u_attitude=(1e-3, 2e-3))
+    np.testing.assert_allclose(flow.by_sensors, np.diag([1e-3, 2e-3 * np.sin(pitch)]) ** 2, atol=1e-15)
+
+
+def test_zero_and_gain_of_the_recorded_pressure_are_in_its_uncertainty(rng):
+    run = run_of(rng)
+    recorded = Channel("q", np.full(run.samples, 1.5), "kPa", zero_uncertainty=0.004, relative_uncertainty=0.002)
+    settings = RunSettings(pressure=Pressure(channel="q", u=12.0))
+    flow = reduce_run(replace(run, channels={**run.channels, "q": recorded}), spring(), settings=settings).flow
+    assert flow.u_pressure == pytest.approx(np.sqrt(4.0**2 + 3.0**2 + 12.0**2), rel=1e-12)
