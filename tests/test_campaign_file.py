@@ -44,6 +44,7 @@ def runs_of(folder: Path, **contents: object):
         ("[runs]\nfiles = '*.h5'\n[[setups]]\n[zeros]\nuse = 'first'\n", "zeros.use: must be 'before', 'around' or"),
         ("[runs]\nfiles = '*.h5'\n[[setups]]\n[spectrum]\nbands = [[10, 1]]\n", "must be pairs of frequencies in Hz"),
         ("[runs]\nfiles = '*.h5'\n[[setups]]\n[axes]\nmoment_centre = [0, 1]\n", "must be three numbers"),
+        ("[runs]\nfiles = '*.h5'\n[[setups]]\nfrom = '201'\n", "must be a date such as .* without quotes"),
         ("[runs\n", "is no TOML"),
     ],
 )
@@ -116,6 +117,41 @@ def test_set_ups_hold_from_a_run_a_date_or_for_a_column(tmp_path):
     ]
     assert [one.setup for one in found] == [0, 3, 2]
     assert found[1].axes.moment_centre == (1, 2, 3)
+
+
+@pytest.mark.parametrize(
+    ("since", "row", "holds"),
+    [
+        (2, {"run": 2}, True),
+        (2, {"Run": 2}, "from run 2 on, and this run has no number"),
+        (2, {"run": "2b"}, "from run 2 on, and this run has no number"),
+        # 10:30 in Berlin is half an hour before 09:00 UTC, 12:30 there an hour and a half after it
+        ("2026-03-12T09:00Z", {"date": "2026-03-12T10:30+02:00"}, False),
+        ("2026-03-12T09:00Z", {"date": "2026-03-12T12:30+02:00"}, True),
+        ("2026-03-12T09:00", {"date": "2026-03-13"}, True),
+        ("2026-03-12T09:00", {"date": "2026-03-12"}, "give the time too"),
+        ("2026-03-12T09:00", {"date": "2026-03-12T10:00Z"}, "both with a time zone, or none"),
+        ("2026-03-12", {"date": "2026-03-12T00:05"}, True),
+        ("2026-03-12", {"date": "12.03.2026"}, "must be a date such as"),
+        ("2026-03-12", {"date": 20260312}, "this run has no date"),
+        ("2026-03-12", {}, "this run has no date"),
+    ],
+)
+def test_a_set_up_holds_from_then_on_or_the_run_says_why_that_cannot_be_told(tmp_path, since, row, holds):
+    touched(tmp_path, "a.h5")
+    setups = [{"dynamics": "first.json"}, {"from": since, "dynamics": "second.json"}]
+    (found,) = runs_of(tmp_path, runs={"rows": [{"file": "a.h5", **row}]}, setups=setups)
+    if isinstance(holds, str):
+        assert holds in found.fault
+    else:
+        assert (found.fault, Path(found.dynamics).stem) == ("", "second" if holds else "first")
+
+
+def test_a_set_up_for_a_column_that_no_run_has_is_refused(tmp_path):
+    touched(tmp_path, "a.h5")
+    setups = [{"dynamics": "d.json"}, {"where": {"confg": "flaps"}, "dynamics": "flaps.json"}]
+    with pytest.raises(ReadError, match=r"setups\[1\].where: names confg, .* there are: config"):
+        runs_of(tmp_path, runs={"rows": [{"file": "a.h5", "config": "flaps"}]}, setups=setups)
 
 
 def test_zeros_are_the_last_before_a_run_those_around_it_or_those_that_agree(tmp_path):
