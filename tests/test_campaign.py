@@ -26,6 +26,7 @@ import xarray as xr
 
 import aerobalance as ab
 from aerobalance.acquisition.processes import start_worker
+from aerobalance.app.campaign import campaign as campaigns
 from aerobalance.app.campaign import engine as engines
 from aerobalance.app.campaign import work
 from aerobalance.app.campaign.assignment import Run
@@ -129,6 +130,28 @@ def test_what_is_done_is_not_done_again_and_what_changed_is(files, rng):
     assert sorted(records(files.out)) == ["run_1", "run_2", "run_4"]
     histories = (files.out / "histories.zarr").iterdir()
     assert sorted(one.name for one in histories if one.is_dir()) == ["run_1", "run_2", "run_4"]
+
+
+@pytest.mark.parametrize("while_writing", ["summary", "page"])
+def test_tables_and_page_are_those_of_the_rows_after_a_call_that_was_killed(files, rng, monkeypatch, while_writing):
+    def pages(found: Campaign) -> None:
+        (files.out / "summary.html").write_text(f"{found.table['balance_AF_N']['run_2']}")
+
+    def killed(*given: object) -> None:
+        raise KeyboardInterrupt
+
+    files.again(page=pages)
+    write_recording(files.runs / "run_2.h5", run_of(rng, mean=50.0))
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        if while_writing == "summary":
+            patch.setattr(campaigns, "write_summary", killed)
+        files.again(page=killed)
+    found = files.again(page=pages)
+    assert found.done == ()
+    mean = found.table["balance_AF_N"]["run_2"]
+    assert mean == pytest.approx(50.0, abs=10.0)  # 20 N of 800 samples are 0.7 N in the mean
+    assert pq.read_table(files.out / "summary.parquet")["balance_AF_N"].to_pylist()[1] == mean
+    assert float((files.out / "summary.html").read_text()) == mean
 
 
 def test_another_version_or_setting_is_worked_out_anew(files, monkeypatch):
