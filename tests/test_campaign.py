@@ -132,6 +132,29 @@ def test_what_is_done_is_not_done_again_and_what_changed_is(files, rng):
     assert sorted(one.name for one in histories if one.is_dir()) == ["run_1", "run_2", "run_4"]
 
 
+def test_a_run_keeps_no_history_and_no_page_that_are_not_of_its_row(files):
+    def write(path: Path, *given: object) -> None:
+        path.write_text("a page")
+
+    def there() -> list[str]:
+        places = [*(files.out / "histories.zarr").glob("run_*"), *(files.out / "reports").glob("run_*.html")]
+        return sorted(one.name for one in places)
+
+    for name in ("run_2.h5", "run_3.h5"):
+        (files.runs / name).unlink()
+    files.test.write_text(TEST.partition("[output]")[0])
+    reduce_runs(files.test, files.out, engine=HERE, report=write)
+    assert there() == ["run_1", "run_1.html"]
+    files.test.write_text(TEST + "histories = false\n")
+    reduce_runs(files.test, files.out, engine=HERE, report=write)
+    assert there() == []
+    files.again()
+    assert there() == ["run_1"]
+    (files.runs / "run_1.h5").write_bytes(b"\x89HDF\r\n\x1a\nnothing more")
+    assert set(files.again().aside) == {"run_1"}
+    assert there() == []
+
+
 @pytest.mark.parametrize("while_writing", ["summary", "page"])
 def test_tables_and_page_are_those_of_the_rows_after_a_call_that_was_killed(files, rng, monkeypatch, while_writing):
     def pages(found: Campaign) -> None:
