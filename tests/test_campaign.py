@@ -397,6 +397,25 @@ def test_a_file_that_is_replaced_in_a_store_is_seen_by_who_watches():
     assert len(looks) == 3  # a file that is gone is seen too
 
 
+def test_who_watches_sees_what_is_corrected_in_test_file_and_table(files):
+    files.test.write_text(TEST.replace('files = "runs/*.h5"', 'table = "runs.csv"'))
+    table = files.test.parent / "runs.csv"
+    looks = []
+
+    def reduced(ready):
+        looks.append([run.columns["alpha"] for run in prepared(files.test).runs if ready(run)])
+        return SimpleNamespace(rows=[], done=())
+
+    watching = Watch(lambda: prepared(files.test), reduced, print)
+    for row in ("runs/run_1.h5,2", "runs/run_1.h5,2", "runs/run_1.h5,4"):
+        table.write_text(f"file,alpha\n{row}\n")
+        watching.look()
+    assert len(looks) == 2  # the second is as the first
+    files.test.write_text(files.test.read_text() + "[force]\nbandwidth = 30.0\n")
+    watching.look()
+    assert len(looks) == 3
+
+
 def test_of_many_runs_the_first_are_shown_before_all_are_reduced():
     runs = tuple(Run(f"run_{number}", number, f"memory://many/{number}") for number in range(1, 21))
     test, shown = Prepared("test", definition_from({"runs": {"files": "x"}, "setups": [{}]}), runs), []
