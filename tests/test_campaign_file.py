@@ -187,8 +187,11 @@ def test_what_names_nothing_is_refused(tmp_path):
         runs_of(tmp_path, runs={"files": "*.tdms"})
     with pytest.raises(ReadError, match="no file is a run"):
         runs_of(tmp_path, runs={"files": "a.h5", "exclude": "a.h5"})
-    with pytest.raises(ReadError, match="a column cannot be called status"):
-        runs_of(tmp_path, runs={"rows": [{"file": "a.h5", "status": 1}]})
+    for name in ("status", "setup", "CL", "u_run_CPM_wind", "balance_NF_N"):
+        with pytest.raises(ReadError, match=f"a column cannot be called {name}: results have one"):
+            runs_of(tmp_path, runs={"rows": [{"file": "a.h5", name: 1}]})
+    (one,) = runs_of(tmp_path, runs={"rows": [{"file": "a.h5", "alpha_deg": 1}]}, angles={"alpha": "alpha_deg"})
+    assert one.columns["alpha_deg"] == 1  # the result's own is the same then
     assert [one.name for one in runs_of(tmp_path, runs={"files": ["b/a.h5", "c/a.h5"]})] == ["b_a.h5", "c_a.h5"]
     with pytest.raises(ReadError, match="would both be called"):
         runs_of(tmp_path, runs={"files": ["x/b/a.h5", "y/b/a.h5"]})

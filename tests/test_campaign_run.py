@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 import aerobalance as ab
-from aerobalance.app.campaign.definition import Axes, Placed, Pressure
+from aerobalance.app.campaign.assignment import OF_RESULTS, Run
+from aerobalance.app.campaign.definition import Axes, Placed, Pressure, Reference
 from aerobalance.app.campaign.reduction import RunSettings, flow_of, frames_of, reduce_run
+from aerobalance.app.campaign.rows import row_of
 from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.recording.channel import Channel
 from aerobalance.uncertainty.repeats import trend
@@ -136,3 +138,13 @@ def test_zero_and_gain_of_the_recorded_pressure_are_in_its_uncertainty(rng):
     settings = RunSettings(pressure=Pressure(channel="q", u=12.0))
     flow = reduce_run(replace(run, channels={**run.channels, "q": recorded}), spring(), settings=settings).flow
     assert flow.u_pressure == pytest.approx(np.sqrt(4.0**2 + 3.0**2 + 12.0**2), rel=1e-12)
+
+
+def test_no_column_of_a_table_is_called_as_one_of_the_results(rng):
+    settings = RunSettings(
+        reference=Reference(area=0.1, chord=0.2, span=0.5), pressure=Pressure(value=1e3), bands=[(1.0, 10.0)]
+    )
+    found = reduce_run(run_of(rng), spring(), settings=settings)
+    row = row_of(Run("a", 1, "a.h5", columns={"alpha": 2, "L": 1.0}), found, [])
+    told = {name for name in row if not OF_RESULTS.fullmatch(name)}
+    assert told == {"file", "alpha", "L"}  # those of the table, and the file, which it names

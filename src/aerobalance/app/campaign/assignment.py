@@ -26,8 +26,13 @@ from aerobalance.recording.errors import FitError, ReadError
 NO_RECORDINGS: Final = frozenset({".json", ".toml", ".html", ".md", ".pdf", ".py", ".png", ".jpg", ".svg", ".log"})
 """Endings of files that are no runs where a folder is given."""
 
-RESERVED: Final = frozenset({"run_name", "status", "reason", "verdict", "doubts", "warnings"})
-"""Columns that a result has by itself."""
+OF_RESULTS: Final = re.compile(
+    "run_name|place|setup|zero_from|(balance|dynamics)_file|status|reason|verdict|doubts|doubt_kinds|warnings|report"
+    "|duration_s|rate_Hz|samples|alpha_deg|beta_deg|pressure_Pa|steps_.*|resolved_to_.*|natural_frequency_.*"
+    "|((u|u_run|u_zero|dof)_)?(C(NF|PM|SF|YM|RM|AF|L|D|Y)|C[PYR]M_wind"
+    "|(balance|body|wind|rms|largest|largest_step|least|sample|zero|zero_drift)_.*_(N|Nm)|[kb]_change_.*)"
+)
+"""Names of columns that a result has by itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -329,8 +334,9 @@ def _runs(definition: Definition, folder: str) -> list[Marked]:
     kept = [Marked(file, columns) for file, columns in found.items() if name_of(file) not in excluded]
     if not kept:
         raise ReadError(folder, "runs", "no file is a run: check files, table and exclude")
+    taken = {definition.angles.alpha, definition.angles.beta, definition.pressure and definition.pressure.column}
     for one in kept:
-        clash = sorted(RESERVED & set(one.columns))
+        clash = sorted(name for name in one.columns if name not in taken and OF_RESULTS.fullmatch(name))
         if clash:
             raise ReadError(folder, "runs", f"a column cannot be called {clash[0]}: results have one of that name")
     return kept
