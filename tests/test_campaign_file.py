@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import fsspec
 import pytest
 
 from aerobalance.app.campaign.assignment import assigned, definition_of_folder
@@ -203,6 +204,22 @@ def test_a_folder_is_all_of_its_recordings(tmp_path):
     assert [one.name for one in assigned(definition, str(tmp_path))] == ["a", "b"]
     with pytest.raises(ReadError, match="holds no recordings"):
         definition_of_folder(str(touched(tmp_path / "empty", "notes.md")), "dynamics.json")
+
+
+def test_brackets_in_names_are_no_patterns_where_such_files_are(tmp_path):
+    folder = touched(tmp_path / "polar [1]", "run[2].h5", "run2.h5", "run3.h5")
+    definition = definition_of_folder(str(folder), "d.json")
+    found = [Path(one.file).name for one in assigned(definition, str(folder))]
+    assert sorted(found) == ["run2.h5", "run3.h5", "run[2].h5"]
+    chosen = runs_of(folder, runs={"files": "run[23].h5"})
+    assert [Path(one.file).name for one in chosen] == ["run2.h5", "run3.h5"]
+    store = fsspec.filesystem("memory")
+    for path in folder.iterdir():
+        store.pipe_file(f"/polar [1]/{path.name}", b"")
+    definition = definition_of_folder("memory://polar [1]", "d.json")
+    assert len(assigned(definition, "memory://polar [1]")) == 3
+    for path in folder.iterdir():
+        store.rm_file(f"/polar [1]/{path.name}")
 
 
 def test_runs_whose_names_become_alike_are_told_apart_or_refused(tmp_path):

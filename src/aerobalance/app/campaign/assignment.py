@@ -307,7 +307,7 @@ def _zeros_of(definition: Definition, run: Marked, zeros: Sequence[Marked]) -> t
 def _runs(definition: Definition, folder: str) -> list[Marked]:
     """The runs with their columns, in the order in which they are given."""
     rules = definition.runs
-    excluded = {name_of(place) for pattern in _each(rules.exclude) for place in matching(joined(folder, pattern))}
+    excluded = {name_of(place) for pattern in _each(rules.exclude) for place in matching(folder, pattern)}
     found: dict[str, dict[str, Cell]] = {}
     if rules.files is not None:
         for one in _files(rules.files, rules.pattern, folder, optional=rules.pattern is not None):
@@ -348,7 +348,7 @@ def _each(names: Names | None) -> list[str]:
 
 def _files(names: Names | None, pattern: str | None, folder: str, *, optional: bool = False) -> list[Marked]:
     """Files by names and patterns, with what their own names say."""
-    places = [place for name in _each(names) for place in matching(joined(folder, name))]
+    places = [place for name in _each(names) for place in matching(folder, name)]
     if names is not None and not places:
         raise ReadError(folder, "", f"no file is named by {', '.join(_each(names))}")
     found = []
