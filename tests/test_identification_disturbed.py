@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import butter, sosfilt
 from scipy.stats import binom, chi2, norm
 
 from aerobalance.app.commands.identify import identify_decay as identify_command
@@ -354,3 +355,28 @@ def test_dynamics_of_a_gap_in_a_windy_decay(rng):
     assert isinstance(fit.dynamics, Dynamics)
     for name in ("stiffness", "damping"):
         assert abs(getattr(fit.dynamics, name) - getattr(T128, name)) < 5 * fit.dynamics.uncertainty(name)
+
+
+NOISY_DAMPING = 2 * T128.mass * 0.01 * 2 * np.pi * 66.0
+
+
+def noisy_near_the_ringing(rng: np.random.Generator, *, deviation: float, missing: Array | None = None) -> Recording:
+    """A release read with 1 N of white noise and more between 50 and 85 Hz, of so many times its density."""
+    time = np.arange(4800) / RATE
+    near = sosfilt(butter(2, [50, 85], "band", fs=RATE, output="sos"), rng.normal(0, deviation, time.size))
+    load = HEIGHT * Mode(66.0, 0.01).free_decay(time - 1.0003) + rng.normal(0, 1.0, time.size) + near
+    if missing is not None:
+        load[missing] = np.nan
+    return record(load)
+
+
+def test_noise_near_the_ringing_is_no_force():
+    """A force of 1e-8 N per root Hz was told, and that the wind should be off."""
+    fit = quietly(noisy_near_the_ringing(np.random.default_rng(0), deviation=12.0))
+    (doubt,) = fit.doubts
+    assert doubt.kind == "unexplained"
+    assert fit.force_density is None
+    # in the band around the ringing the noise has 1 + 12^2 times the density of the white one; some 60 ordinates of
+    # the band of noise tell it to 1 / sqrt(60), three times
+    assert float(doubt.text.split(" are ")[1].split()[0]) == pytest.approx(145, rel=0.4)
+    assert abs(fit.dynamics.damping - NOISY_DAMPING) < 4 * fit.dynamics.uncertainty("damping")

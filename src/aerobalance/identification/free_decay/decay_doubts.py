@@ -65,13 +65,14 @@ def doubts_of(found: Account, dynamics: Dynamics, recording: Recording, *, kept:
             "the natural frequency carry that much",
             effect=u / dynamics.damping,
         )
-    if ring.colour > COLOURED:
+    colour = ring.colour if ring.force is None else ring.force.colour
+    if colour > COLOURED:
         add(
             "unexplained",
-            f"the residuals near {ring.frequency:.4g} Hz are {ring.colour:.1f} times as strong as white noise; the "
+            f"the residuals near {ring.frequency:.4g} Hz are {colour:.1f} times as strong as white noise; the "
             "uncertainties are enlarged accordingly",
         )
-    if ring.force is not None:
+    if ring.force is not None and ring.force.acts:
         add(
             "driving force",
             f"a force of {np.sqrt(ring.force.density):.2g} {si_unit(name)} per root Hz near {ring.frequency:.4g} Hz "
