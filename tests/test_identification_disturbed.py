@@ -18,7 +18,7 @@ from aerobalance.identification.free_decay.driven import driven
 from aerobalance.identification.free_decay.event import first_look
 from aerobalance.identification.free_decay.fit import DecayFit, identify_decay
 from aerobalance.identification.free_decay.law import LAWS, by_law, decays_by
-from aerobalance.identification.free_decay.ring_fit import fit_ring, freed
+from aerobalance.identification.free_decay.ring_fit import _colour, fit_ring, freed
 from aerobalance.identification.free_decay.waveform import DecayLine, columns_of
 from aerobalance.identification.free_decay.window import _fall, _odd, _richer
 from aerobalance.io import write_recording
@@ -368,6 +368,32 @@ def noisy_near_the_ringing(rng: np.random.Generator, *, deviation: float, missin
     if missing is not None:
         load[missing] = np.nan
     return record(load)
+
+
+def test_colour_is_that_at_the_ringing_where_readings_are_missing(rng):
+    """Of readings put together across a gap of half the record the ringing was looked for at twice its frequency."""
+    n = 6400
+    near = sosfilt(butter(2, [60, 72], "band", fs=RATE, output="sos"), rng.normal(0, 3.0, n))
+    left = rng.normal(size=n) + near
+    every = np.arange(n)
+    wave = np.exp(-2j * np.pi * 66 / RATE * every)
+    # what such noise does to the sizes of waves near 66 Hz, over what white noise of the same variance does
+    level = np.mean([abs(np.sum(left * wave * np.exp(-2j * np.pi * k * every / n))) ** 2 for k in range(-33, 34)])
+    whole = _colour(left, 66 / RATE, every)
+    assert whole == pytest.approx(level / (n * left.var()), rel=0.05)
+    known = np.flatnonzero((every < 1600) | (every >= 4800))
+    # a mean of 67 ordinates, of which half are independent where half is missing: 1 / sqrt(33) of it, three times
+    assert _colour(left[known], 66 / RATE, known) == pytest.approx(whole, rel=0.5)
+
+
+def test_a_force_is_not_followed_over_long_gaps():
+    """Bridged, the noise was lower by what is missing: errors of the damping were 2.9 times their uncertainties."""
+    missing = np.r_[300:1500, 2200:2900, 3300:4500]
+    fit = quietly(noisy_near_the_ringing(np.random.default_rng(0), deviation=12.0, missing=missing))
+    (doubt,) = (one for one in fit.doubts if one.kind == "record cut")
+    assert fit.window[1] == pytest.approx(2199 / RATE)
+    assert f"to {fit.window[1]:.6g} s" in doubt.text
+    assert abs(fit.dynamics.damping - NOISY_DAMPING) < 3 * fit.dynamics.uncertainty("damping")
 
 
 def test_noise_near_the_ringing_is_no_force():
