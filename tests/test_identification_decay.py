@@ -318,6 +318,22 @@ def test_extrema_are_exact_without_noise():
     assert found.stiffness == pytest.approx(T128.stiffness, rel=2e-4)
 
 
+@pytest.mark.parametrize("phase", [0.0, 0.8, 1.57, 1.65, 2.4])
+def test_extrema_are_told_of_a_ringing_of_any_phase(phase, rng):
+    """Where the first reading is at a zero crossing, extrema lay on the edges of windows: some counted twice."""
+    time, decay, wd = np.arange(3200) / RATE, T128.decay_rate, 2 * np.pi * T128.damped_frequency
+    load = 1000 * np.exp(-decay * time) * np.cos(wd * time + phase) + rng.normal(0, 0.02, time.size)
+    fit = identify_decay(record(load), mass=T128.mass)
+    assert fit.release is None
+    found = extrema_fit(record(load), fit)
+    # the slope is nothing where the phase is a multiple of pi less atan(decay / w)
+    turns = (wd * found.instants + phase + np.arctan(decay / wd)) / np.pi
+    assert turns == pytest.approx(np.round(turns), abs=0.01)
+    assert np.diff(np.round(turns)) == pytest.approx(1)
+    assert found.stiffness == pytest.approx(T128.stiffness, rel=2e-4)
+    assert found.damping == pytest.approx(T128.damping, rel=1e-2)
+
+
 def test_noise_makes_extrema_too_large_and_the_damping_low(rng):
     errors = []
     for _ in range(6):

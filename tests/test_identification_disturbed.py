@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
+from scipy.signal import butter, sosfilt
 from scipy.stats import binom, chi2, norm
 
 from aerobalance.app.commands.identify import identify_decay as identify_command
@@ -19,7 +20,7 @@ from aerobalance.identification.free_decay.driven import driven
 from aerobalance.identification.free_decay.event import first_look
 from aerobalance.identification.free_decay.fit import DecayFit, identify_decay
 from aerobalance.identification.free_decay.law import LAWS, by_law, decays_by
-from aerobalance.identification.free_decay.ring_fit import fit_ring, freed
+from aerobalance.identification.free_decay.ring_fit import _colour, fit_ring, freed
 from aerobalance.identification.free_decay.waveform import DecayLine, columns_of
 from aerobalance.identification.free_decay.window import _fall, _odd, _richer
 from aerobalance.io import write_recording
@@ -365,3 +366,54 @@ def test_dynamics_of_a_gap_in_a_windy_decay(rng):
     assert isinstance(fit.dynamics, Dynamics)
     for name in ("stiffness", "damping"):
         assert abs(getattr(fit.dynamics, name) - getattr(T128, name)) < 5 * fit.dynamics.uncertainty(name)
+
+
+NOISY_DAMPING = 2 * T128.mass * 0.01 * 2 * np.pi * 66.0
+
+
+def noisy_near_the_ringing(rng: np.random.Generator, *, deviation: float, missing: Array | None = None) -> Recording:
+    """A release read with 1 N of white noise and more between 50 and 85 Hz, of so many times its density."""
+    time = np.arange(4800) / RATE
+    near = sosfilt(butter(2, [50, 85], "band", fs=RATE, output="sos"), rng.normal(0, deviation, time.size))
+    load = HEIGHT * Mode(66.0, 0.01).free_decay(time - 1.0003) + rng.normal(0, 1.0, time.size) + near
+    if missing is not None:
+        load[missing] = np.nan
+    return record(load)
+
+
+def test_colour_is_that_at_the_ringing_where_readings_are_missing(rng):
+    """Of readings put together across a gap of half the record the ringing was looked for at twice its frequency."""
+    n = 6400
+    near = sosfilt(butter(2, [60, 72], "band", fs=RATE, output="sos"), rng.normal(0, 3.0, n))
+    left = rng.normal(size=n) + near
+    every = np.arange(n)
+    wave = np.exp(-2j * np.pi * 66 / RATE * every)
+    # what such noise does to the sizes of waves near 66 Hz, over what white noise of the same variance does
+    level = np.mean([abs(np.sum(left * wave * np.exp(-2j * np.pi * k * every / n))) ** 2 for k in range(-33, 34)])
+    whole = _colour(left, 66 / RATE, every)
+    assert whole == pytest.approx(level / (n * left.var()), rel=0.05)
+    known = np.flatnonzero((every < 1600) | (every >= 4800))
+    # a mean of 67 ordinates, of which half are independent where half is missing: 1 / sqrt(33) of it, three times
+    assert _colour(left[known], 66 / RATE, known) == pytest.approx(whole, rel=0.5)
+
+
+def test_a_force_is_not_followed_over_long_gaps():
+    """Bridged, the noise was lower by what is missing: errors of the damping were 2.9 times their uncertainties."""
+    missing = np.r_[300:1500, 2200:2900, 3300:4500]
+    fit = quietly(noisy_near_the_ringing(np.random.default_rng(0), deviation=12.0, missing=missing))
+    (doubt,) = (one for one in fit.doubts if one.kind == "record cut")
+    assert fit.window[1] == pytest.approx(2199 / RATE)
+    assert f"to {fit.window[1]:.6g} s" in doubt.text
+    assert abs(fit.dynamics.damping - NOISY_DAMPING) < 3 * fit.dynamics.uncertainty("damping")
+
+
+def test_noise_near_the_ringing_is_no_force():
+    """A force of 1e-8 N per root Hz was told, and that the wind should be off."""
+    fit = quietly(noisy_near_the_ringing(np.random.default_rng(0), deviation=12.0))
+    (doubt,) = fit.doubts
+    assert doubt.kind == "unexplained"
+    assert fit.force_density is None
+    # in the band around the ringing the noise has 1 + 12^2 times the density of the white one; some 60 ordinates of
+    # the band of noise tell it to 1 / sqrt(60), three times
+    assert float(doubt.text.split(" are ")[1].split()[0]) == pytest.approx(145, rel=0.4)
+    assert abs(fit.dynamics.damping - NOISY_DAMPING) < 4 * fit.dynamics.uncertainty("damping")

@@ -132,3 +132,29 @@ def test_dwells_that_do_not_go_with_the_mass_or_lack_a_channel(rng):
     bare = {name: channel for name, channel in recording.channels.items() if name != "live_acceleration"}
     with pytest.raises(FitError, match="needs a live accelerometer"):
         reference_fit(find_dwells(replace(recording, channels=bare)), mass=TRUE.mass, phase="absolute")
+
+
+def test_delays_and_ac_coupling_that_channels_state_are_undone(rng):
+    """A load that is read 1 ms late, and says so, gave four times the damping."""
+    drive = SteppedSine((560.0, 600.0, 640.0, 680.0, 720.0), settle=0.05, hold=0.25)
+    recording = shake(drive, rng)
+    late = {"AF": 20, "ground_acceleration": 3, "live_acceleration": 7}
+    channels = dict(recording.channels)
+    for name, count in late.items():
+        channel = channels[name]
+        channels[name] = replace(channel, values=np.roll(channel.values, count), delay=count / recording.rate)
+    delayed = replace(recording, channels=channels)
+    before, after = find_dwells(recording), find_dwells(delayed)
+    for own, other in zip(amplitudes(before), amplitudes(after), strict=True):
+        # samples at the ends of the dwells are others, and so is their noise
+        u = max(dwell.u_ground + dwell.u_load + dwell.u_live for dwell in before)
+        assert np.abs(other - own) == pytest.approx(0, abs=8 * u + 1e-3 * np.abs(own).max())
+    found, true = (reference_fit(dwells, mass=TRUE.mass) for dwells in (after, before))
+    assert found.damping == pytest.approx(true.damping, rel=0.02)
+    assert found.natural_frequency == pytest.approx(true.natural_frequency, rel=1e-3)
+    # a corner at 600 Hz: a sine passes with the factor i f / (i f + corner)
+    ground = recording.channel("ground_acceleration")
+    coupled = {**recording.channels, "ground_acceleration": replace(ground, coupling="ac", corner=600.0)}
+    ac = find_dwells(replace(recording, channels=coupled))
+    frequency, _, measured, _ = amplitudes(before)
+    assert amplitudes(ac)[2] == pytest.approx(measured * (1j * frequency + 600) / (1j * frequency))

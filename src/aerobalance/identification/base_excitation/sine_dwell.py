@@ -12,7 +12,7 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.special import chdtrc
 
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.identification.base_excitation.spectra import Complex
+from aerobalance.identification.base_excitation.spectra import Complex, acceleration, aligned
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import driving_channel, other_end
 from aerobalance.recording.errors import FitError
@@ -48,6 +48,8 @@ SETTINGS: Final = DwellSettings()
 @dataclass(frozen=True, slots=True)
 class Dwell:
     """One frequency held for a while; complex amplitudes X stand for Re(X exp(i w t)), t from the recording's time 0.
+
+    Delays and ac coupling that the channels state are undone in the amplitudes.
 
     Attributes
     ----------
@@ -199,11 +201,13 @@ def harmonic_check(
 
 def _driven(recording: Recording, dynamics: Dynamics) -> Array:
     """Load that the full dynamics give for the measured ground acceleration, from rest, shape (n,)."""
-    ground = recording.channel(driving_channel("ground", dynamics.component, recording)).values
+    channel = recording.channel(driving_channel("ground", dynamics.component, recording))
+    ground = channel.values
     memory = int(recording.rate * min(20 / max(dynamics.decay_rate, 1e-9), recording.duration))
     length = next_fast_len(ground.size + memory, real=True)
-    response = dynamics.base_response(rfftfreq(length, 1 / recording.rate))
-    return irfft(response * rfft(ground - ground.mean(), length), length)[: ground.size]
+    frequency = rfftfreq(length, 1 / recording.rate)
+    felt = acceleration(channel, rfft(ground - ground.mean(), length), frequency)
+    return irfft(dynamics.base_response(frequency) * felt, length)[: ground.size]
 
 
 def _steady_stretches(values: Array, rate: float) -> list[tuple[int, int, float]]:
@@ -379,7 +383,9 @@ def _fit_part(channels: list[Channel], *, part: tuple[int, int, float], rate: fl
         amplitude, deviation = _sine(values, frequency, start=start, rate=rate)
         scatter, beyond, noise = _drift(values, frequency, start=start, rate=rate)
         u = max(noise, 0.0) * float(np.sqrt(2 / (stop - start))) if noise > 0 else deviation
-        fitted.append((amplitude, u))
+        undo = acceleration if place else aligned
+        factor = complex(undo(channel, np.ones(1, dtype=np.complex128), np.array([frequency]))[0])
+        fitted.append((amplitude * factor, u * abs(factor)))
         if place < 2:  # the live end's is a check
             drift = max(drift, scatter)
             steady &= not beyond

@@ -150,7 +150,7 @@ def transform(recording: Recording, component: str) -> Spectra:
     inside = slice(1, (samples + 1) // 2)
     spectrum = Spectra(
         frequency=frequency[inside],
-        load=_aligned(spectra[component], frequency, load.delay)[inside],
+        load=aligned(load, spectra[component], frequency)[inside],
         ground=_specific_force(ground, spectra, frequency, weight)[inside],
         live=None if live is None else live[inside],
         load_noise=np.full(frequency[inside].size, noise[load.name]),
@@ -257,23 +257,28 @@ def _capped(spectra: Spectra, given: tuple[bool, bool]) -> Spectra:
     return replace(spectra, load_noise=levels[0], ground_noise=levels[1])
 
 
-def _aligned(spectrum: Complex, frequency: Array, delay: float) -> Complex:
-    """Advance a channel by the delay that its settings give."""
-    return spectrum * np.exp(2j * np.pi * frequency * delay) if delay else spectrum
+def aligned(channel: Channel, spectrum: Complex, frequency: Array) -> Complex:
+    """Advance the spectrum of a channel by the delay that the channel states."""
+    return spectrum * np.exp(2j * np.pi * frequency * channel.delay) if channel.delay else spectrum
+
+
+def acceleration(channel: Channel, spectrum: Complex, frequency: Array) -> Complex:
+    """Spectrum of what an accelerometer feels, from that of its readings: delay and ac coupling are undone."""
+    return aligned(channel, spectrum, frequency) / _high_pass(channel, frequency)[0]
 
 
 def _high_pass(channel: Channel, frequency: Array) -> tuple[Complex, Array]:
     """Response of an ac-coupled sensor and its squared modulus, kept away from zero at zero frequency."""
     if channel.coupling != "ac" or not channel.corner:
         return np.ones(frequency.size, dtype=np.complex128), np.ones(frequency.size)
-    safe = np.maximum(frequency, frequency[1])
+    safe = np.maximum(frequency, np.min(frequency[frequency > 0]))
     response = 1j * safe / (1j * safe + channel.corner)
     return response, np.abs(response) ** 2
 
 
 def _specific_force(channel: Channel, spectra: dict[str, Complex], frequency: Array, weight: Complex) -> Complex:
     """Transform of x'' less gravity along the axis, from an accelerometer of any coupling."""
-    reading = _aligned(spectra[channel.name], frequency, channel.delay) / _high_pass(channel, frequency)[0]
+    reading = acceleration(channel, spectra[channel.name], frequency)
     return reading if channel.coupling == "dc" else reading - weight
 
 

@@ -65,18 +65,28 @@ def doubts_of(found: Account, dynamics: Dynamics, recording: Recording, *, kept:
             "the natural frequency carry that much",
             effect=u / dynamics.damping,
         )
-    if ring.colour > COLOURED:
+    colour = ring.colour if ring.force is None else ring.force.colour
+    if colour > COLOURED:
         add(
             "unexplained",
-            f"the residuals near {ring.frequency:.4g} Hz are {ring.colour:.1f} times as strong as white noise; the "
+            f"the residuals near {ring.frequency:.4g} Hz are {colour:.1f} times as strong as white noise; the "
             "uncertainties are enlarged accordingly",
         )
-    if ring.force is not None:
+    if ring.force is not None and ring.force.acts:
         add(
             "driving force",
             f"a force of {np.sqrt(ring.force.density):.2g} {si_unit(name)} per root Hz near {ring.frequency:.4g} Hz "
             "acts while it rings, as wind does; the fit and its uncertainties count with it",
             "release it once more with the wind off",
+            effect=0.0,
+        )
+    if found.broken:
+        first, last = (recording.start + float(instant) for instant in ring.time[[0, -1]])
+        add(
+            "record cut",
+            f"many readings are missing, and what drives the ringing is not followed over gaps; only the readings "
+            f"from {first:.6g} s to {last:.6g} s are used",
+            "release it once more and lose no readings",
             effect=0.0,
         )
     doubts += _cut(found, recording, name)
@@ -102,7 +112,7 @@ def _cut(found: Account, recording: Recording, name: str) -> list[Doubt]:
     ring, (first, last) = found.ring, found.whole
     begin, end = float(ring.time[0]), float(ring.time[-1])
     early, late = ring.shape != "free" and begin - first > 0.5 / ring.rate, last - end > 0.5 / ring.rate
-    if not (early or late):
+    if found.broken or not (early or late):
         return []
     parts = [
         f"{word} {recording.start + instant:.6g} s"

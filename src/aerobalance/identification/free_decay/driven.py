@@ -295,6 +295,7 @@ class _Search:
         sizes[0] = 0.0
         left = ring.values - self._columns(vector) @ sizes
         sizes[0] = float(left.mean())
+        gain = (vector[0] ** 2 + vector[1] ** 2) / (4 * vector[0] ** 2)  # at the undamped frequency
         place, fitted = 2, []
         for line in self.lines:
             decay = abs(float(vector[place + 1])) if line.decay else 0.0
@@ -312,7 +313,14 @@ class _Search:
             covariance=(covariance + covariance.T) / 2,
             colour=1.0,
             residuals=self._whitened(left - sizes[0], vector[0], vector[1], noise),
-            force=DrivingForce(float(np.exp(noise[1])), self.band.ends, objective, noise, self.centre),
+            force=DrivingForce(
+                density=float(np.exp(noise[1])),
+                band=self.band.ends,
+                objective=objective,
+                over_noise=float(np.exp(noise[1] - noise[0]) * gain),
+                parameters=noise,
+                centre=self.centre,
+            ),
         )
 
     def _whitened(self, left: Array, decay: float, w: float, noise: Array) -> Array:

@@ -206,7 +206,9 @@ def _check(ring: Ring, name: str, component: str) -> None:
 def _beside(ring: Ring) -> str:
     """Return what is fitted beside a ringing."""
     lines = ", ".join(f"{line.frequency:.4g}" for line in ring.lines)
-    driven = "" if ring.force is None else ", beside a force that acts all along, as wind does"
+    driven = ""
+    if ring.force is not None:
+        driven = ", beside a force that acts all along, as wind does" if ring.force.acts else ", beside loud noise"
     return driven + (f", beside lines at {lines} Hz" if lines else "")
 
 
@@ -311,7 +313,7 @@ def _result(
         further_modes=tuple(modes),
         amplitude_dependence=found.dependence,
         amplitude_law=found.law,
-        force_density=None if ring.force is None else ring.force.density,
+        force_density=ring.force.density if ring.force is not None and ring.force.acts else None,
         residual_deviation=float(np.sqrt(ring.variance)),
         degrees_of_freedom=ring.degrees_of_freedom,
         residual_time=recording.start + ring.time,

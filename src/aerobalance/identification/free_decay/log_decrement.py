@@ -61,6 +61,8 @@ def extrema_fit(recording: Recording, fit: DecayFit) -> ExtremaFit:
     time, values = recording.time[inside], load[inside]
     values = values - values[values.size // 2 :].mean()
     half = 0.5 / fit.damped_frequency
+    if fit.release is None:
+        begin = _extremum_before(time, values, begin, decay=fit.decay_rate, w=2 * np.pi * fit.damped_frequency)
     # windows between zero crossings: extrema lie on multiples of half a period after a release from rest
     numbers = np.floor((time - begin) / half + 0.5).astype(int)
     level = CLEAR * fit.residual_deviation
@@ -88,6 +90,18 @@ def extrema_fit(recording: Recording, fit: DecayFit) -> ExtremaFit:
         extrema=extremum,
         fitted=np.sign(extremum) * np.exp(start) * ratio,
     )
+
+
+def _extremum_before(time: Array, values: Array, begin: float, *, decay: float, w: float) -> float:
+    """Last extremum, at or before an instant, of a ringing of any phase [s].
+
+    It is a part of exp(-decay t) cos(w t + phase), whose slope is nothing where w t + phase = -atan(decay / w).
+    """
+    since = time - begin
+    fall = np.exp(-decay * since)
+    cosine, sine = np.linalg.lstsq(np.column_stack([fall * np.cos(w * since), -fall * np.sin(w * since)]), values)[0]
+    phase = np.arctan2(sine, cosine) + np.arctan(decay / w)
+    return begin - float(phase % np.pi) / w
 
 
 def _vertex(time: Array, values: Array) -> tuple[float, float]:

@@ -17,6 +17,7 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from aerobalance.identification.free_decay.event import Look, Shape
@@ -255,7 +256,10 @@ def _search(
     vector = origin + scale * found.x
     sizes, left = projected(columns_at(found.x), values)
     J = jacobian(time, shape, vector, lines, begin=begin, scale=scale, sizes=sizes, bent=bent, law=law)
-    covariance, colour = _covariance(J, left, time=time, frequency=float(vector[1]) / (2 * np.pi), sizes=sizes)
+    number = np.round((time - begin) * start.rate).astype(np.intp)
+    covariance, colour = _covariance(
+        J, left, number=number, turns=float(vector[1]) / (2 * np.pi * start.rate), sizes=sizes
+    )
     place = 2 + (shape != "free") + (shape == "ramp")
     fitted = []
     for line in lines:
@@ -282,7 +286,7 @@ def _search(
     )
 
 
-def _covariance(J: Array, left: Array, *, time: Array, frequency: float, sizes: Array) -> tuple[Array, float]:
+def _covariance(J: Array, left: Array, *, number: NDArray[np.intp], turns: float, sizes: Array) -> tuple[Array, float]:
     """Covariance of the nonlinear and the linear parameters, and the colour of the residuals."""
     largest = np.max(np.abs(J), axis=0)  # of a law that does not fit its square may be beyond all numbers
     largest[largest == 0] = 1.0
@@ -291,21 +295,37 @@ def _covariance(J: Array, left: Array, *, time: Array, frequency: float, sizes: 
     inverse = np.linalg.pinv((J / size).T @ (J / size), hermitian=True) / size / size[:, None]
     variance = float(left @ left) / max(left.size - J.shape[1], 1)
     rounding = variance < (1e-9 * float(np.abs(sizes[2:]).max())) ** 2
-    colour = 1.0 if rounding else _colour(left, frequency, time)
+    colour = 1.0 if rounding else _colour(left, turns, number)
     return inverse * variance * colour, colour
 
 
-def _colour(left: Array, frequency: float, time: Array) -> float:
+def _colour(left: Array, turns: float, number: NDArray[np.intp]) -> float:
     """Residual spectrum around a frequency over that of white noise of the same variance, where significantly more.
 
-    The band holds enough ordinates for the chance excess to be small; a value within it counts as white.
+    Missing readings count as zero: the power at a frequency is then that of what a wave read at the same instants
+    takes up of the residuals, whatever is missing. The band holds enough ordinates for the chance excess to be small;
+    a value within it counts as white.
+
+    Parameters
+    ----------
+    left
+        The residuals, shape (n,).
+    turns
+        The frequency over the sampling rate.
+    number
+        Which readings the residuals are of, from the first on, shape (n,).
     """
-    power = np.abs(np.fft.rfft(left - left.mean())) ** 2
+    every = np.zeros(int(number[-1]) + 1)
+    every[number] = left - left.mean()
+    power = np.abs(np.fft.rfft(every)) ** 2
     ordinates = power[1:-1] / max(float(power[1:-1].mean()), 1e-300)
-    place = round(frequency * (time[-1] - time[0]))
+    place = round(turns * float(number[-1]))
     reach = max(12, place // 8)
     band = ordinates[max(place - reach, 0) : place + reach + 1]
     if band.size < 12:
         return 1.0
     level = float(band.mean())
-    return level if level > 1 + 4 / np.sqrt(band.size) else 1.0
+    independent = (
+        band.size * left.size / every.size
+    )  # where readings are missing, ordinates depend on their neighbours
+    return level if level > 1 + 4 / np.sqrt(independent) else 1.0

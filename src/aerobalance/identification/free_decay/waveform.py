@@ -71,6 +71,10 @@ class Law:
     frequency: int
 
 
+NO_FORCE: Final = 0.1
+"""What a force makes of the readings at resonance, over their noise there, up to which it is none."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class DrivingForce:
     """A random force that acts on the balance during the free decay.
@@ -83,6 +87,8 @@ class DrivingForce:
         Frequencies between which the density was estimated [Hz].
     objective
         Negative logarithm of the likelihood.
+    over_noise
+        What the force makes of the readings at resonance, over their noise there, as powers [1].
     parameters, centre
         The estimated parameters, and the mean of their prior, shape (3,) each: logarithm of the density of the
         readings' noise, logarithm of `density`, and change of the latter from the middle of the band to its end.
@@ -91,8 +97,19 @@ class DrivingForce:
     density: float
     band: tuple[float, float]
     objective: float
+    over_noise: float
     parameters: Array
     centre: Array
+
+    @property
+    def acts(self) -> bool:
+        """Whether it is more than nothing beside the noise of the readings."""
+        return self.over_noise > NO_FORCE
+
+    @property
+    def colour(self) -> float:
+        """Noise of the readings near the ringing over their white noise, as powers [1]."""
+        return float(np.exp(self.parameters[0] - self.centre[0]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -49,6 +49,12 @@ LEVEL_CHANGE: Final = 4.0
 CLEAR_OF: Final = 3.0
 """Periods after the release from which on the ringing is free."""
 
+BROKEN: Final = 0.25
+"""Gap in the readings, in periods, over which a force that acts all along is not followed."""
+
+MISSING: Final = 0.1
+"""Share of a record in such gaps up to which they are bridged all the same, as they hardly matter."""
+
 FORCE_EVIDENCE: Final = 3.0
 """Gain in the logarithm of the likelihood from which a force is believed to act while the load rings; where nothing
 else explains the readings, loss up to which it is."""
@@ -82,6 +88,8 @@ class Account:
         Whether a further mode lies so close to the first that their ringing beats.
     whole
         First and last instant that there were readings of [s].
+    broken
+        Whether readings beyond a gap are left out, as a force that acts all along is not followed over it.
     """
 
     ring: Ring
@@ -89,6 +97,7 @@ class Account:
     law: AmplitudeLaw | None
     close: bool
     whole: tuple[float, float]
+    broken: bool = False
 
 
 def account(ring: Ring, time: Array, values: Array, *, onset: float) -> Account:
@@ -96,7 +105,7 @@ def account(ring: Ring, time: Array, values: Array, *, onset: float) -> Account:
     whole = (float(time[0]), float(time[-1]))
     quick = _forced(ring, ring, (time, values), onset) if ring.colour > 1 else None
     if quick is not None and not _shows_more(quick) and _complete(ring).colour > 1:
-        return Account(quick, None, None, close=False, whole=whole)
+        return _of_force(quick, time)
     first, close, bent = _richer(ring)
     found = freed(_widened(_shortened(_complete(_shortened(first))), first))
     forced = None
@@ -107,7 +116,7 @@ def account(ring: Ring, time: Array, values: Array, *, onset: float) -> Account:
             part = fit_ring(found.time, found.values, found, lines=(), bent=False)
             forced = _forced(part, found, (found.time, found.values), onset, evidence=-FORCE_EVIDENCE)
     if forced is not None:
-        return Account(forced, None, None, close=False, whole=whole)
+        return _of_force(forced, time)
     dependence, found = amplitude_dependence(found, bent=bent if found is ring else None)
     law = None
     if found.bent:
@@ -117,8 +126,16 @@ def account(ring: Ring, time: Array, values: Array, *, onset: float) -> Account:
     if found.law is not None:
         found, law, dependence = levelled(found, found.law)
     if quick is not None and not decays(found):  # a law or a second mode that leads nowhere
-        return Account(quick, None, None, close=False, whole=whole)
+        return _of_force(quick, time)
     return Account(found, dependence, law, close=close and len(found.lines) > 0, whole=whole)
+
+
+def _of_force(ring: Ring, time: Array) -> Account:
+    """The account of readings at these instants that a ring with a force gives."""
+    first, last = np.searchsorted(time, ring.time[[0, -1]])
+    beside = np.diff(time[max(first - 1, 0) : first + 1]), np.diff(time[last : last + 2])
+    broken = any((gap > BROKEN / ring.frequency).any() for gap in beside)
+    return Account(ring, None, None, close=False, whole=(float(time[0]), float(time[-1])), broken=broken)
 
 
 def decays(ring: Ring) -> bool:
@@ -171,9 +188,9 @@ def _behind_release(ring: Ring, time: Array, values: Array, onset: float) -> Rin
         start = ring.start + ring.duration
         behind = (onset if abs(start - onset) > FAR * period else max(start, onset)) + CLEAR_OF * period
     after = time >= behind
-    if np.count_nonzero(after) < 64:
+    time, values = _unbroken(time[after], values[after], period)
+    if time.size < 64:
         return None
-    time, values = time[after], values[after]
     w, decay = 2 * np.pi * ring.frequency, max(ring.decay, 1e-6 * ring.frequency)
     vector = np.array([decay, w])
     columns = columns_of(time, "free", vector, (), begin=float(time[0]))
@@ -195,6 +212,19 @@ def _behind_release(ring: Ring, time: Array, values: Array, onset: float) -> Rin
         values=values,
         residuals=left,
     )
+
+
+def _unbroken(time: Array, values: Array, period: float) -> tuple[Array, Array]:
+    """The readings, or where many are missing the part without a gap in which the most is read.
+
+    What a force does in a gap is not known from what was read on both sides.
+    """
+    gaps = np.diff(time)
+    breaks = np.flatnonzero(gaps > BROKEN * period)
+    if not breaks.size or float(gaps[breaks].sum()) < MISSING * (time[-1] - time[0]):
+        return time, values
+    parts = zip(np.split(time, breaks + 1), np.split(values, breaks + 1), strict=True)
+    return max(parts, key=lambda part: part[1].size * float(np.var(part[1])))
 
 
 def _fall(time: Array, values: Array, ring: Ring) -> float | None:
