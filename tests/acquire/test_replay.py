@@ -1,12 +1,14 @@
 """Replay: what is played is what was recorded, and a recording need not fit into the memory."""
 
 import math
+import pickle
 import tracemalloc
 
 import numpy as np
 import pytest
 
 from aerobalance.acquisition.replay import AGAIN, ReplaySource
+from aerobalance.acquisition.session import Session
 from aerobalance.acquisition.setup import setup_from, stored_channels
 from aerobalance.acquisition.source import SourceChannel, SourceEndedError
 from aerobalance.acquisition.sources import open_source
@@ -169,6 +171,16 @@ def test_files_that_cannot_be_played(tmp_path) -> None:
         ReplaySource(tmp_path / "run.h5")
     with pytest.raises(ReadError, match="no such file"):
         ReplaySource(tmp_path / "none.h5")
+
+
+def test_a_file_that_cannot_be_played_is_told_by_the_process_of_the_source(tmp_path) -> None:
+    with pytest.raises(ReadError, match="no such file") as fault:
+        Session(setup_from({"source": {"kind": "replay", "file": "none.h5"}}), tmp_path)
+    assert (fault.value.path, fault.value.where) == (tmp_path / "none.h5", "")
+    for path in ("run.csv", "https://example.org/run.csv"):
+        given = ReadError(path, "line 3", "is no number")
+        told = pickle.loads(pickle.dumps(given))
+        assert (str(told), told.path, told.where, told.what) == (str(given), given.path, "line 3", "is no number")
 
 
 @pytest.mark.parametrize("kind", ["h5", "csv"])

@@ -53,6 +53,11 @@ class ReadError(Exception):
         name = str(path) if "://" in str(path) else str(self.path)  # a path would make one slash of two
         place = f"{name}: {where}" if where else name
         super().__init__(f"{place}: {what}")
+        self._given = (path, where, what)
+
+    def __reduce__(self) -> tuple[type[ReadError], tuple[Path | str, str, str]]:
+        """Make it anew from what it was made of, in another process: an exception is made of its message otherwise."""
+        return type(self), self._given
 
 
 def argument(name: str, value: Any = None) -> str:
