@@ -115,6 +115,18 @@ def test_a_faulty_force_is_named_and_does_no_harm(rng, hammer, kind):
         assert [tap.used for tap in found.taps.taps] == ["force and ringing", *["ringing"] * 3]
 
 
+def test_a_gain_that_one_recording_states_is_not_that_of_all(rng):
+    """A force off by 2 % is no doubt where nothing is stated (1 %), and was where another recording stated 0.1 %."""
+    one, other = (one_tapped(rng, blows=2, hammer=Hammer(noise=1.0, gain=1.02)) for _ in range(2))
+    force = replace(one.channel("impact_force"), relative_uncertainty=1e-3)
+    well = replace(one, name="well known", channels={**one.channels, "impact_force": force})
+    assert _one([other]).doubts == ()
+    assert _one([well, other]).doubts == ()
+    (doubt,) = _one([well]).doubts
+    assert doubt.kind == "force gain"
+    assert "known to 0.1 %" in doubt.text
+
+
 def _delayed(record: ab.Recording, **delays: float) -> ab.Recording:
     """The recording with delays stated."""
     stated = {name: replace(record.channel(name), delay=delay) for name, delay in delays.items()}
