@@ -558,6 +558,19 @@ def test_loads_that_never_come_again_tell_no_repeatability(rng) -> None:
 
 
 @pytest.mark.parametrize("way", ["iterative", "non-iterative"])
+def test_a_series_of_confirmation_points_alone_has_no_tares(way: str, rng) -> None:
+    schedule = single_loads(random_balance(seed_from(rng), model="linear"), rng)
+    zeros = 0.02 + rng.normal(0, NOISE, (4, 6))
+    own = schedule.series == 4
+    calibration = calibrate(replace(schedule, natural_zeros=zeros, confirmation=own), model="linear", way=way)
+    for table in (calibration.tares, calibration.u_tares, calibration.tares_by_iteration):
+        assert np.isnan(table[4]).all()
+        assert np.isfinite(np.delete(table, 4, axis=0)).all()
+    assert np.isfinite(calibration.residuals).all()
+    assert np.isfinite(assess(calibration).confirmation).all()
+
+
+@pytest.mark.parametrize("way", ["iterative", "non-iterative"])
 def test_confirmation_points_of_a_series_of_their_own_count_from_their_mean(way: str, rng) -> None:
     """Where nothing is absolute, a change of the zero from series to series is no error of the matrix."""
     schedule = single_loads(random_balance(seed_from(rng), model="linear"), rng)
@@ -624,6 +637,26 @@ def test_hysteresis_between_going_up_and_down(rng) -> None:
     size = 2e-3 / balance.output_scale[0]
     assert found.hysteresis[0] == pytest.approx(size, abs=5 * 0.05e-3 * np.sqrt(2) / balance.output_scale[0])
     assert plain.hysteresis[0] < size / 2
+
+
+@pytest.mark.parametrize("digits", [0.0, 2e-5])
+def test_repeats_on_the_way_up_are_no_way_down(digits: float, rng) -> None:
+    """Each load is read three times, as it is or to the last digit of the weights, over capacity."""
+    balance = random_balance(seed_from(rng), model="linear")
+    up, both = np.repeat([0, 0.25, 0.5, 0.75, 1], 3), np.repeat([0, 0.25, 0.5, 1, 0.5, 0.25], 3)
+    found = {}
+    for name, nominal in (("up", up), ("both", both)):
+        steps = nominal + digits * np.tile([0, 1, -1], len(nominal) // 3)
+        loads = np.concatenate([np.outer(steps, CAPACITIES[k] * np.eye(6)[k]) for k in range(6)])
+        lag = np.zeros(loads.shape)
+        lag[12:18, 0] = 2e-3 if name == "both" else 0.0
+        outputs = balance.outputs(loads) + rng.normal(0, 1e-5, loads.shape) + lag
+        schedule = plain_schedule(loads, outputs, series=np.repeat(np.arange(6), len(steps)))
+        found[name] = assess(calibrate(schedule, model="linear")).hysteresis
+    assert np.isnan(found["up"]).all()
+    # means of three readings each way of 1e-5 mV/V, five standard deviations; the lag turns the sensitivity by 0.2 %
+    unit = balance.output_scale[0]
+    assert found["both"][0] == pytest.approx(2e-3 / unit, abs=5 * 1e-5 * np.sqrt(2 / 3) / unit + 2e-3 * 2e-3)
 
 
 # ---- a healthy schedule raises nothing ------------------------------------------------------------------

@@ -26,6 +26,7 @@ import xarray as xr
 
 import aerobalance as ab
 from aerobalance.acquisition.processes import start_worker
+from aerobalance.app.campaign import campaign as campaigns
 from aerobalance.app.campaign import engine as engines
 from aerobalance.app.campaign import work
 from aerobalance.app.campaign.assignment import Run
@@ -129,6 +130,51 @@ def test_what_is_done_is_not_done_again_and_what_changed_is(files, rng):
     assert sorted(records(files.out)) == ["run_1", "run_2", "run_4"]
     histories = (files.out / "histories.zarr").iterdir()
     assert sorted(one.name for one in histories if one.is_dir()) == ["run_1", "run_2", "run_4"]
+
+
+def test_a_run_keeps_no_history_and_no_page_that_are_not_of_its_row(files):
+    def write(path: Path, *given: object) -> None:
+        path.write_text("a page")
+
+    def there() -> list[str]:
+        places = [*(files.out / "histories.zarr").glob("run_*"), *(files.out / "reports").glob("run_*.html")]
+        return sorted(one.name for one in places)
+
+    for name in ("run_2.h5", "run_3.h5"):
+        (files.runs / name).unlink()
+    files.test.write_text(TEST.partition("[output]")[0])
+    reduce_runs(files.test, files.out, engine=HERE, report=write)
+    assert there() == ["run_1", "run_1.html"]
+    files.test.write_text(TEST + "histories = false\n")
+    reduce_runs(files.test, files.out, engine=HERE, report=write)
+    assert there() == []
+    files.again()
+    assert there() == ["run_1"]
+    (files.runs / "run_1.h5").write_bytes(b"\x89HDF\r\n\x1a\nnothing more")
+    assert set(files.again().aside) == {"run_1"}
+    assert there() == []
+
+
+@pytest.mark.parametrize("while_writing", ["summary", "page"])
+def test_tables_and_page_are_those_of_the_rows_after_a_call_that_was_killed(files, rng, monkeypatch, while_writing):
+    def pages(found: Campaign) -> None:
+        (files.out / "summary.html").write_text(f"{found.table['balance_AF_N']['run_2']}")
+
+    def killed(*given: object) -> None:
+        raise KeyboardInterrupt
+
+    files.again(page=pages)
+    write_recording(files.runs / "run_2.h5", run_of(rng, mean=50.0))
+    with monkeypatch.context() as patch, pytest.raises(KeyboardInterrupt):
+        if while_writing == "summary":
+            patch.setattr(campaigns, "write_summary", killed)
+        files.again(page=killed)
+    found = files.again(page=pages)
+    assert found.done == ()
+    mean = found.table["balance_AF_N"]["run_2"]
+    assert mean == pytest.approx(50.0, abs=10.0)  # 20 N of 800 samples are 0.7 N in the mean
+    assert pq.read_table(files.out / "summary.parquet")["balance_AF_N"].to_pylist()[1] == mean
+    assert float((files.out / "summary.html").read_text()) == mean
 
 
 def test_another_version_or_setting_is_worked_out_anew(files, monkeypatch):
@@ -349,6 +395,25 @@ def test_a_file_that_is_replaced_in_a_store_is_seen_by_who_watches():
     store.rm("/seen", recursive=True)
     watching.look()
     assert len(looks) == 3  # a file that is gone is seen too
+
+
+def test_who_watches_sees_what_is_corrected_in_test_file_and_table(files):
+    files.test.write_text(TEST.replace('files = "runs/*.h5"', 'table = "runs.csv"'))
+    table = files.test.parent / "runs.csv"
+    looks = []
+
+    def reduced(ready):
+        looks.append([run.columns["alpha"] for run in prepared(files.test).runs if ready(run)])
+        return SimpleNamespace(rows=[], done=())
+
+    watching = Watch(lambda: prepared(files.test), reduced, print)
+    for row in ("runs/run_1.h5,2", "runs/run_1.h5,2", "runs/run_1.h5,4"):
+        table.write_text(f"file,alpha\n{row}\n")
+        watching.look()
+    assert len(looks) == 2  # the second is as the first
+    files.test.write_text(files.test.read_text() + "[force]\nbandwidth = 30.0\n")
+    watching.look()
+    assert len(looks) == 3
 
 
 def test_of_many_runs_the_first_are_shown_before_all_are_reduced():

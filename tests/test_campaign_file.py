@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import fsspec
 import pytest
 
 from aerobalance.app.campaign.assignment import assigned, definition_of_folder
@@ -44,6 +45,7 @@ def runs_of(folder: Path, **contents: object):
         ("[runs]\nfiles = '*.h5'\n[[setups]]\n[zeros]\nuse = 'first'\n", "zeros.use: must be 'before', 'around' or"),
         ("[runs]\nfiles = '*.h5'\n[[setups]]\n[spectrum]\nbands = [[10, 1]]\n", "must be pairs of frequencies in Hz"),
         ("[runs]\nfiles = '*.h5'\n[[setups]]\n[axes]\nmoment_centre = [0, 1]\n", "must be three numbers"),
+        ("[runs]\nfiles = '*.h5'\n[[setups]]\nfrom = '201'\n", "must be a date such as .* without quotes"),
         ("[runs\n", "is no TOML"),
     ],
 )
@@ -118,6 +120,41 @@ def test_set_ups_hold_from_a_run_a_date_or_for_a_column(tmp_path):
     assert found[1].axes.moment_centre == (1, 2, 3)
 
 
+@pytest.mark.parametrize(
+    ("since", "row", "holds"),
+    [
+        (2, {"run": 2}, True),
+        (2, {"Run": 2}, "from run 2 on, and this run has no number"),
+        (2, {"run": "2b"}, "from run 2 on, and this run has no number"),
+        # 10:30 in Berlin is half an hour before 09:00 UTC, 12:30 there an hour and a half after it
+        ("2026-03-12T09:00Z", {"date": "2026-03-12T10:30+02:00"}, False),
+        ("2026-03-12T09:00Z", {"date": "2026-03-12T12:30+02:00"}, True),
+        ("2026-03-12T09:00", {"date": "2026-03-13"}, True),
+        ("2026-03-12T09:00", {"date": "2026-03-12"}, "give the time too"),
+        ("2026-03-12T09:00", {"date": "2026-03-12T10:00Z"}, "both with a time zone, or none"),
+        ("2026-03-12", {"date": "2026-03-12T00:05"}, True),
+        ("2026-03-12", {"date": "12.03.2026"}, "must be a date such as"),
+        ("2026-03-12", {"date": 20260312}, "this run has no date"),
+        ("2026-03-12", {}, "this run has no date"),
+    ],
+)
+def test_a_set_up_holds_from_then_on_or_the_run_says_why_that_cannot_be_told(tmp_path, since, row, holds):
+    touched(tmp_path, "a.h5")
+    setups = [{"dynamics": "first.json"}, {"from": since, "dynamics": "second.json"}]
+    (found,) = runs_of(tmp_path, runs={"rows": [{"file": "a.h5", **row}]}, setups=setups)
+    if isinstance(holds, str):
+        assert holds in found.fault
+    else:
+        assert (found.fault, Path(found.dynamics).stem) == ("", "second" if holds else "first")
+
+
+def test_a_set_up_for_a_column_that_no_run_has_is_refused(tmp_path):
+    touched(tmp_path, "a.h5")
+    setups = [{"dynamics": "d.json"}, {"where": {"confg": "flaps"}, "dynamics": "flaps.json"}]
+    with pytest.raises(ReadError, match=r"setups\[1\].where: names confg, .* there are: config"):
+        runs_of(tmp_path, runs={"rows": [{"file": "a.h5", "config": "flaps"}]}, setups=setups)
+
+
 def test_zeros_are_the_last_before_a_run_those_around_it_or_those_that_agree(tmp_path):
     touched(tmp_path, *(f"run_{n}.h5" for n in (2, 5, 9)), *(f"zero_{n}.h5" for n in (1, 4, 8)))
     runs = {"files": "run_*.h5", "pattern": r"run_(?P<run>\d+)"}
@@ -151,8 +188,11 @@ def test_what_names_nothing_is_refused(tmp_path):
         runs_of(tmp_path, runs={"files": "*.tdms"})
     with pytest.raises(ReadError, match="no file is a run"):
         runs_of(tmp_path, runs={"files": "a.h5", "exclude": "a.h5"})
-    with pytest.raises(ReadError, match="a column cannot be called status"):
-        runs_of(tmp_path, runs={"rows": [{"file": "a.h5", "status": 1}]})
+    for name in ("status", "setup", "CL", "u_run_CPM_wind", "balance_NF_N"):
+        with pytest.raises(ReadError, match=f"a column cannot be called {name}: results have one"):
+            runs_of(tmp_path, runs={"rows": [{"file": "a.h5", name: 1}]})
+    (one,) = runs_of(tmp_path, runs={"rows": [{"file": "a.h5", "alpha_deg": 1}]}, angles={"alpha": "alpha_deg"})
+    assert one.columns["alpha_deg"] == 1  # the result's own is the same then
     assert [one.name for one in runs_of(tmp_path, runs={"files": ["b/a.h5", "c/a.h5"]})] == ["b_a.h5", "c_a.h5"]
     with pytest.raises(ReadError, match="would both be called"):
         runs_of(tmp_path, runs={"files": ["x/b/a.h5", "y/b/a.h5"]})
@@ -164,6 +204,22 @@ def test_a_folder_is_all_of_its_recordings(tmp_path):
     assert [one.name for one in assigned(definition, str(tmp_path))] == ["a", "b"]
     with pytest.raises(ReadError, match="holds no recordings"):
         definition_of_folder(str(touched(tmp_path / "empty", "notes.md")), "dynamics.json")
+
+
+def test_brackets_in_names_are_no_patterns_where_such_files_are(tmp_path):
+    folder = touched(tmp_path / "polar [1]", "run[2].h5", "run2.h5", "run3.h5")
+    definition = definition_of_folder(str(folder), "d.json")
+    found = [Path(one.file).name for one in assigned(definition, str(folder))]
+    assert sorted(found) == ["run2.h5", "run3.h5", "run[2].h5"]
+    chosen = runs_of(folder, runs={"files": "run[23].h5"})
+    assert [Path(one.file).name for one in chosen] == ["run2.h5", "run3.h5"]
+    store = fsspec.filesystem("memory")
+    for path in folder.iterdir():
+        store.pipe_file(f"/polar [1]/{path.name}", b"")
+    definition = definition_of_folder("memory://polar [1]", "d.json")
+    assert len(assigned(definition, "memory://polar [1]")) == 3
+    for path in folder.iterdir():
+        store.rm_file(f"/polar [1]/{path.name}")
 
 
 def test_runs_whose_names_become_alike_are_told_apart_or_refused(tmp_path):

@@ -2,13 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from aerobalance.app.campaign.definition import Axes, Placed, Pressure
-from aerobalance.app.campaign.reduction import RunSettings, frames_of, reduce_run
+import aerobalance as ab
+from aerobalance.app.campaign.assignment import OF_RESULTS, Run
+from aerobalance.app.campaign.definition import Axes, Placed, Pressure, Reference
+from aerobalance.app.campaign.reduction import RunSettings, flow_of, frames_of, reduce_run
+from aerobalance.app.campaign.rows import row_of
+from aerobalance.dynamics.independent import dynamics_of
+from aerobalance.recording.channel import Channel
 from aerobalance.uncertainty.repeats import trend
 from helpers.axial_runs import RATE, run_of, spring
+from seeds import trials
 
 # a white load up to half the rate is more than the model of the force has been made for, which some records say
 pytestmark = pytest.mark.filterwarnings("ignore:.*depart from what the model:UserWarning")
@@ -29,7 +37,7 @@ def test_stiffness_and_damping_are_told_by_each_record(rng):
     # k = M w^2 and b = 2 M z w: a balance whose stiffness is 2 % higher, and its damping 1.5 times as large
     known = spring()
     other = spring(stiffness=1.02 * known.stiffness, damping=1.5 * known.damping)
-    found = [reduce_run(run_of(rng, samples=6400, dynamics=other), known).resonances[0] for _ in range(6)]
+    found = [reduce_run(run_of(rng, samples=6400, dynamics=other), known).resonances[0] for _ in range(trials(4, 6))]
     told = [one for one in found if one.stiffness is not None]
     assert len(told) >= 3
     of_k, of_b = trend_of([one.stiffness for one in told]), trend_of([one.damping for one in told])
@@ -78,3 +86,66 @@ def test_what_is_asked_for_and_not_there_is_named(rng):
         reduce_run(run, dynamics, columns={"q": -1}, settings=RunSettings(pressure=Pressure(column="q")))
     with pytest.raises(ValueError, match="column alpha must be a number of degrees, not 'up'"):
         reduce_run(run, dynamics, columns={"alpha": "up"})
+
+
+@pytest.mark.parametrize(("unit", "reading"), [("Pa", 1500.0), ("kPa", 1.5), ("mbar", 15.0)])
+def test_a_pressure_that_was_recorded_is_taken_in_its_own_unit(rng, unit, reading):
+    run = run_of(rng)
+    values = np.full(run.samples, reading)
+    values[10:20] = np.nan
+    recorded = replace(run, channels={**run.channels, "q": Channel("q", values, unit)})
+    found = reduce_run(recorded, spring(), settings=RunSettings(pressure=Pressure(channel="q")))
+    assert found.flow.pressure == pytest.approx(1500.0, rel=1e-12)
+
+
+def test_a_channel_in_no_unit_of_pressure_is_no_pressure(rng):
+    run = run_of(rng)
+    recorded = replace(run, channels={**run.channels, "q": Channel("q", np.ones(run.samples), "V")})
+    with pytest.raises(ValueError, match="in channel q, which is in V; allowed: Pa, hPa, kPa"):
+        reduce_run(recorded, spring(), settings=RunSettings(pressure=Pressure(channel="q")))
+
+
+def test_zero_and_gain_of_the_angle_count_where_the_angle_is_from_it(rng):
+    """By an angle that is off by u, lift L and drag D are off by -D u and L u."""
+    samples, pitch, u, gain = 800, np.radians(10.0), np.radians(0.3), 0.02
+    dynamics = {name: ab.Dynamics(name, mass=1e-3, stiffness=1e5, damping=0.4) for name in ("AF", "NF")}  # no weight
+
+    def found(columns, **stated):
+        channels = {name: Channel(name, 50.0 + rng.normal(0, 0.1, samples), "N") for name in dynamics}
+        channels["pitch"] = Channel("pitch", np.full(samples, pitch), "rad", **stated)
+        run = ab.Recording.from_columns(np.arange(samples) / RATE, channels)
+        return reduce_run(run, dynamics_of(dynamics), columns=columns)
+
+    off = np.hypot(u, gain * pitch)
+    wind = found({}, zero_uncertainty=u, relative_uncertainty=gain).axes["wind"]
+    lift, drag = wind.values[[0, 5]]
+    covariance = wind.errors.common[np.ix_([0, 5], [0, 5])]
+    expected = off**2 * np.outer([-drag, lift], [-drag, lift])
+    np.testing.assert_allclose(covariance, expected, atol=1e-4 * off**2 * lift**2)
+    of_table = found({"alpha": 10.0, "beta": 0.0}, zero_uncertainty=u, relative_uncertainty=gain)
+    assert of_table.flow.by_sensors == ((0.0, 0.0), (0.0, 0.0))
+
+
+def test_an_angle_of_roll_is_sideslip_by_the_sine_of_pitch():
+    # sin(beta) = sin(pitch) sin(roll) and tan(alpha) = tan(pitch) cos(roll) of a body with the axes of its balance
+    pitch = 0.3
+    flow = flow_of({}, {"pitch": pitch, "roll": 0.0}, RunSettings(), u_attitude=(1e-3, 2e-3))
+    np.testing.assert_allclose(flow.by_sensors, np.diag([1e-3, 2e-3 * np.sin(pitch)]) ** 2, atol=1e-15)
+
+
+def test_zero_and_gain_of_the_recorded_pressure_are_in_its_uncertainty(rng):
+    run = run_of(rng)
+    recorded = Channel("q", np.full(run.samples, 1.5), "kPa", zero_uncertainty=0.004, relative_uncertainty=0.002)
+    settings = RunSettings(pressure=Pressure(channel="q", u=12.0))
+    flow = reduce_run(replace(run, channels={**run.channels, "q": recorded}), spring(), settings=settings).flow
+    assert flow.u_pressure == pytest.approx(np.sqrt(4.0**2 + 3.0**2 + 12.0**2), rel=1e-12)
+
+
+def test_no_column_of_a_table_is_called_as_one_of_the_results(rng):
+    settings = RunSettings(
+        reference=Reference(area=0.1, chord=0.2, span=0.5), pressure=Pressure(value=1e3), bands=[(1.0, 10.0)]
+    )
+    found = reduce_run(run_of(rng), spring(), settings=settings)
+    row = row_of(Run("a", 1, "a.h5", columns={"alpha": 2, "L": 1.0}), found, [])
+    told = {name for name in row if not OF_RESULTS.fullmatch(name)}
+    assert told == {"file", "alpha", "L"}  # those of the table, and the file, which it names

@@ -10,6 +10,7 @@ import dataclasses
 import numpy as np
 import pytest
 
+from aerobalance.app.campaign.assignment import OF_RESULTS
 from aerobalance.app.campaign.campaign import Campaign, reduce_runs
 from aerobalance.app.campaign.engine import Engine
 from aerobalance.io import read, write_recording
@@ -34,6 +35,8 @@ def test_a_few_runs_and_a_zero_that_changed(tmp_path, rng):
     )
     found = reduce_runs(test.file, tmp_path / "out", engine=Engine(workers=0))
     judged(found, test)
+    own = {name for row in found.rows for name in row if not OF_RESULTS.fullmatch(name)}
+    assert own == {"file", "run", "polar", "alpha", "q"}  # of the table; the others cannot be called so there
     for row in found.reduced:  # within 6 standard uncertainties of 11 degrees of freedom: 1 in 10 000
         assert row["CL"] == pytest.approx(test.truth[row["run_name"]][0], abs=6 * row["u_CL"])
     good = found.reduced[-1]

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from aerobalance.app.cli import main
-from aerobalance.app.commands.compare import compare
+from aerobalance.app.commands.compare import compare, table_of, words_for_table
 from aerobalance.app.demos import tables
+from aerobalance.app.reports.compare_report import _limits, _running_rms, comparison_figure, components_figure
 from aerobalance.dynamics.modal import Mode
 from aerobalance.io import write_recording
 from aerobalance.io.dynamics_file import write_dynamics
@@ -17,7 +18,8 @@ from aerobalance.recording.channel import Channel
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor, band_noise
 from aerobalance.simulation.published import CABLE_CUT, TABLE_1, TABLE_2
-from aerobalance.validation.baselines import BASELINES, THIS, TUNED
+from aerobalance.validation.baselines import BASELINES, THIS, TUNED, BaselineEstimate
+from aerobalance.validation.scores import Truth
 
 T128 = CABLE_CUT.dynamics
 
@@ -152,6 +154,32 @@ def test_page_stands_alone(here, capsys, truth):
     assert "written: page.html" in out
 
 
+@pytest.mark.parametrize("known", [True, False])
+def test_an_estimate_with_a_gap_is_drawn_with_a_gap(known, rng):
+    recording = CableCut(release=0.5003).run(1.0, rng).recording
+    values = recording.channel("AF").values
+    gap = np.where(np.arange(values.size) // 160 == 6, np.nan, values)
+    truth = Truth.of(values, rate=1600.0, natural_frequency=T128.natural_frequency) if known else None
+    found = [BaselineEstimate("raw reading", gap), BaselineEstimate("low-pass", gap), BaselineEstimate(THIS, values)]
+    whole = slice(0, values.size)
+    drawn = comparison_figure(found, recording=recording, dynamics=T128, truth=truth, window=whole)
+    assert "<svg" in drawn
+    truths = {} if truth is None else {"AF": truth}
+    assert "<svg" in components_figure({"AF": found}, recording=recording, truths=truths, window=whole)
+
+
+def test_errors_and_axes_leave_missing_samples_out():
+    error = np.full(1000, 3.0)
+    error[100] = np.nan
+    found = _running_rms(error, 10)
+    assert np.flatnonzero(np.isnan(found)).tolist() == [100]
+    # the constant itself, but for the rounding of a running sum over 1000 samples
+    np.testing.assert_allclose(np.delete(found, 100), 3.0, rtol=1e-12)
+    curve, missing = np.array([-1.0, np.nan, 3.0]), np.full(3, np.nan)
+    assert _limits(np.array([0.0, np.nan, 4.0]), [curve, missing]) == (-1.25, 4.25)
+    assert _limits(missing, [missing]) == (-1.0, 1.0)
+
+
 @pytest.mark.parametrize(
     ("line", "code", "says"),
     [
@@ -240,3 +268,20 @@ def test_deviations_of_the_tables_are_percentages():
     assert got["mean_percent"] == pytest.approx(100 * (2 + 58 / count) / 1020, rel=1e-6)
     assert got["momentary_percent_of_half_range"] == pytest.approx(3.0)
     assert got["momentary_percent_of_excitation"] == pytest.approx(100 * 60 / 1020)
+
+
+@pytest.mark.parametrize(
+    ("known", "expected"), [(100.0, {"NF": 0.2, "PM": 0.5}), (float("nan"), {"NF": 2.0, "PM": 0.5})]
+)
+def test_the_table_of_all_components_has_one_kind_of_number(known, expected):
+    """NF departs by 2 N of half range 1000 N, and PM by 0.5 N*m of 100 N*m, or of a range that is not known."""
+    parts = {}
+    for name, half, rms in (("NF", 1000.0, 2.0), ("PM", known, 0.5)):
+        row = {"name": THIS, "setting": "customary", "lacking": None, "rms": rms}
+        row["percent_of_half_range"] = {"rms": 100 * rms / half}
+        parts[name] = {"half_range": {"value": half, "from": "given"}, "rivals": [row]}
+    result = {"components": parts}
+    (row,) = table_of(result)
+    assert row["numbers"] == pytest.approx(expected)
+    words = "in percent of half range" if np.isfinite(known) else "each in its own unit"
+    assert words in words_for_table(result)

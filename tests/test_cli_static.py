@@ -17,7 +17,7 @@ from aerobalance.io.balance_file import read_balance
 from aerobalance.io.mass_file import read_weighing, write_weighing
 from aerobalance.io.schedule import read_schedule, write_balfit_schedule
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import ReadError
+from aerobalance.recording.errors import DataQualityWarning, ReadError
 from aerobalance.recording.gravity import Attitudes
 from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, random_balance
 from seeds import new_seed
@@ -454,3 +454,34 @@ def test_loads_of_a_long_record_do_not_depend_on_its_parts(
             ), (name, key)
     assert parts["beyond_calibrated_range"] == whole["beyond_calibrated_range"]
     assert parts["missing"] == whole["missing"] == 0
+
+
+@pytest.mark.usefixtures("calibrated")
+@pytest.mark.parametrize("begin", [0, 400])
+def test_a_gap_as_long_as_a_part_is_missing_loads(truth, rng, capsys, monkeypatch, begin) -> None:
+    count = 2000
+    time = np.arange(count) / 1000
+    outputs = gauges(truth, 0.3 * CAPACITIES * np.sin(2 * np.pi * time[:, None] * np.linspace(1, 3, 6)), rng)
+    outputs["rN1 [mV/V]"][begin : begin + 700] = np.nan
+    write("run.csv", time, outputs)
+    words = ["loads", "run.csv", "--balance", "balance.json"]
+    whole = run(capsys, *words, "-o", "whole.h5")
+    monkeypatch.setattr("aerobalance.app.commands.loads.PART", 500)
+    monkeypatch.setattr("aerobalance.app.commands.loads.MARGIN", 50)
+    parts = run(capsys, *words, "-o", "parts.h5")
+    assert parts["missing"] == whole["missing"] == 700
+    with pytest.warns(DataQualityWarning, match="700 of 2000 samples"):
+        one, other = read("whole.h5"), read("parts.h5")
+    for name in whole["components"]:
+        values = one.channel(name).values
+        assert np.flatnonzero(np.isnan(values)).tolist() == list(range(begin, begin + 700))
+        np.testing.assert_allclose(other.channel(name).values, values, rtol=0, atol=1e-9 * np.nanmax(np.abs(values)))
+        for key in ("mean", "least", "largest", "rms_about_mean"):
+            assert parts["components"][name][key] == pytest.approx(whole["components"][name][key], rel=1e-6)
+        # the noise is judged by each part for itself, and by half of the spectrum: 650 degrees of freedom either way
+        noises = [found["components"][name]["noise_of_reading"] for found in (parts, whole)]
+        assert noises[0] == pytest.approx(noises[1], rel=4 * np.sqrt(2 / (2 * 650)))
+    outputs["rN1 [mV/V]"][:1000] = outputs["rN2 [mV/V]"][1000:] = np.nan
+    write("run.csv", time, outputs)
+    assert "no sample gives loads" in run(capsys, *words, "-o", "none.h5", code=1)["error"]
+    assert not Path("none.h5").exists()

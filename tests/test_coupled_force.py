@@ -10,6 +10,7 @@ import pytest
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.applied_force import Force
+from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.error_sources import Systematic
 from aerobalance.estimation.force import estimate_force, force_record
 from aerobalance.estimation.forces import ForceSettings, forces_of
@@ -20,7 +21,7 @@ from aerobalance.simulation import SixComponentRig
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_components import Release, SixSimulation
 from aerobalance.simulation.six_signals import Band, broadband, random_motion
-from helpers.coupled_pair import NOISE, SIZE, pair, recording_of, shaken
+from helpers.coupled_pair import NOISE, RATE, SIZE, band, pair, recording_of, shaken
 
 DURATION = 0.25
 
@@ -282,3 +283,35 @@ def test_a_long_gap_of_one_component_is_bridged_in_both(rng):
         score = (found[name].values - force[:1200, place]) / found[name].uncertainty
         # the mean square of some 100 independent numbers, by chance beyond this once in 1e5
         assert np.mean(score[outside] ** 2) < 1.9
+
+
+@pytest.mark.parametrize("which", ["loads", "one sensor"])
+def test_loads_read_while_the_moving_ground_was_not_count_as_missing(which, rng):
+    """Of 12 samples the ground's motion was not recorded: the forces of them are as uncertain as they are wrong."""
+    late, count, fine = 12, 2000, 8
+    mass = pair().mass
+    assert mass is not None
+    dynamics = replace(pair(), covariance=np.zeros((8, 8)), mass=replace(mass, covariance=np.zeros((10, 10))))
+    force = 0.03 * SIZE * band(rng, 250, count=fine * (count + late), rate=fine * RATE, columns=2)
+    loads = dynamics.balance_load(force, interval=1 / (fine * RATE))[::fine]
+    loads += NOISE * rng.normal(size=loads.shape)
+    aft, up = 5 * band(rng, 250, count=count + late, rate=RATE, columns=2).T
+
+    def recording(loads: Array, aft: Array, up: Array, of_loads: float = 0.0, of_up: float = 0.0) -> Recording:
+        still = recording_of(loads, delay=of_loads)
+        moving = [
+            Channel("ground_acceleration", aft, "m/s^2", noise=1e-3),
+            Channel("ground_acceleration_z", up, "m/s^2", noise=1e-3, delay=of_up),
+        ]
+        return replace(still, channels={**still.channels, **{one.name: one for one in moving}})
+
+    loads += CoupledRecord.of(recording(loads, aft, up), dynamics).from_ground
+    truth = force[::fine]
+    if which == "loads":  # their first readings are of instants before the first of the sensors
+        given, truth = recording(loads[:-late], aft[late:], up[late:], of_loads=late / RATE), truth[:-late]
+        ends = slice(None, 100)
+    else:  # what it read of the last instants has not come
+        given, truth = recording(loads[late:], aft[late:], up[:-late], of_up=late / RATE), truth[late:]
+        ends = slice(-100, None)
+    for place, part in enumerate(estimate_force(given, dynamics).values()):
+        assert np.max(np.abs((part.values - truth[:, place]) / part.uncertainty)[ends]) < 6

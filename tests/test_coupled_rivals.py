@@ -14,16 +14,18 @@ import pytest
 from aerobalance.app.cli import main
 from aerobalance.app.commands.compare import compare
 from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.io import write_recording
 from aerobalance.io.dynamics_file import write_dynamics
-from aerobalance.recording.channel import Channel
-from aerobalance.recording.components import si_unit
+from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.components import STANDARD_GRAVITY, si_unit
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
-from aerobalance.validation.baselines import THIS
+from aerobalance.validation.baselines import THIS, BaselineSettings
 from aerobalance.validation.coupled_baselines import TUNED, estimates_of_coupled
+from aerobalance.validation.coupled_baselines import _Component as Compared
 from aerobalance.validation.scores import Truth
-from helpers.coupled_pair import NOISE, RATE, SIZE, colored, pair, recording_of, shaken
+from helpers.coupled_pair import NOISE, RATE, SIZE, band, colored, pair, recording_of, shaken
 
 EXACT = replace(pair(), covariance=np.zeros((8, 8)))
 
@@ -83,6 +85,50 @@ def test_differences_of_all_readings_undo_the_coupling(rng) -> None:
     assert np.max(error) < 0.15 * np.max(np.abs(force[:, 0]))
     apart = np.abs(values["central differences, diagonal"] - force[:, 0])[inner]
     assert np.max(apart) > 3 * np.max(error)
+
+
+def test_rivals_take_declared_delays_into_account() -> None:
+    """Channels read late, and said to be, give every rival what the same readings in time give it."""
+    late, generator = 12, np.random.default_rng(7)  # samples
+    dynamics = replace(EXACT, mass=replace(EXACT.mass, covariance=np.zeros((10, 10))))
+    count = 3000 + late
+    begun = np.clip(np.arange(count) / 200 - 0.5, 0, 1)  # from rest, so that there is no free motion of before
+    ground = 5 * begun * band(generator, 250, count=count, rate=RATE, columns=1)[:, 0]
+    ground += 1e-3 * generator.normal(size=count)
+    force = 0.03 * SIZE * band(generator, 250, count=count, rate=RATE, columns=2)
+    felt = dynamics.balance_load(force, interval=1 / RATE) + NOISE * generator.normal(size=force.shape)
+
+    def shaken_with(loads: Array, shaking: Array, delay: float = 0.0) -> Recording:
+        still = recording_of(loads, delay=delay)
+        moving = Channel("ground_acceleration_z", shaking, "m/s^2", noise=1e-3)
+        return replace(still, channels={**still.channels, moving.name: moving})
+
+    felt += CoupledRecord.of(shaken_with(felt, ground), dynamics).from_ground
+
+    def of(loads: Array, delay: float) -> dict[str, Array]:
+        found = estimates_of_coupled(shaken_with(loads, ground[late:], delay), dynamics, components=("NF",))["NF"]
+        return {row.name: row.values for row in found if row.ran}
+
+    in_time, delayed = of(felt[late:], 0.0), of(felt[:-late], late / RATE)
+    for name in ("low-pass", "notch and low-pass", "central differences, coupled"):
+        # in one they begin and end `late` samples earlier; what the filters do there fades: exp(-2 pi 20 Hz / 10)
+        apart = delayed[name][late:] - in_time[name][:-late]
+        assert np.max(np.abs(apart[1000:-1000])) < 1e-3 * np.max(np.abs(in_time[name])), name
+
+
+@pytest.mark.filterwarnings("ignore:.* shows turning")
+def test_a_gap_of_the_pitch_is_bridged_and_not_level(rng) -> None:
+    _, felt, pitch = (part[:1000] for part in shaken(rng, EXACT))
+    recording = recording_of(felt + NOISE * rng.normal(size=felt.shape), pitch=pitch)
+    lacking = recording_of(felt, pitch=np.where(np.arange(1000) // 10 == 50, np.nan, pitch))
+    record = CoupledRecord.of(recording, EXACT)
+    whole, bridged = (
+        Compared(replace(record, recording=one), felt, {}, 0).raw(one, EXACT.own_response("NF"), BaselineSettings())
+        for one in (recording, lacking)
+    )
+    # a line over 2.5 ms of 0.05 rad at 3 Hz is h^2 / 8 (6 pi)^2 0.05 = 1.4e-5 rad off; a level balance, 0.1 rad
+    limit = EXACT.mass.mass * STANDARD_GRAVITY * np.max(np.abs(np.sin(pitch))) * 2e-5
+    assert np.max(np.abs(bridged.values - whole.values)) < limit
 
 
 @pytest.fixture

@@ -32,7 +32,8 @@ from aerobalance.recording.recording import Recording
 from faults.cases import Case, all_cases
 from faults.scene import FREQUENCY
 from faults.trials import recording_of, scores, worked_out
-from helpers.coupled_pair import NOISE, pair
+from helpers.coupled_pair import NOISE, SIZE, band, pair
+from helpers.coupled_pair import RATE as PAIR_RATE
 from helpers.coupled_pair import recording_of as recording_of_pair
 from seeds import trials
 
@@ -419,6 +420,21 @@ def test_a_resonance_above_half_the_rate_tells_no_change(rng):
     assert found.natural_frequency == pytest.approx(1e5)
     assert found.frequency is None
     assert found.damping is None
+
+
+def test_delays_of_channels_do_not_hide_how_resonances_have_changed(rng):
+    """The same readings, one channel two milliseconds late and said to be: the same changes."""
+    late, count = 8, 8000
+    dynamics = replace(pair(), mass=None)
+    force = 0.03 * SIZE * band(rng, 1000, count=count + late, rate=PAIR_RATE, columns=2)
+    loads = dynamics.balance_load(force, interval=1 / PAIR_RATE) + NOISE * rng.normal(size=force.shape)
+    delayed = np.column_stack([loads[late:, 0], loads[:-late, 1]])
+    in_time = resonance_changes(estimate_force(recording_of_pair(loads[late:]), dynamics))
+    found = resonance_changes(estimate_force(recording_of_pair(delayed, delay=(0.0, late / PAIR_RATE)), dynamics))
+    for one, other in zip(in_time, found, strict=True):
+        assert one.frequency is not None
+        assert other.frequency == pytest.approx(one.frequency, abs=0.1 * one.u_frequency)
+        assert other.damping_ratio == pytest.approx(one.damping_ratio, abs=0.1 * one.u_damping_ratio)
 
 
 @pytest.mark.parametrize(("count", "held"), [(600, True), (64, False)], ids=["a channel that stands still", "short"])

@@ -16,7 +16,7 @@ from aerobalance.recording.channel import QUANTITIES, Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
-from aerobalance.simulation import CableCut, Sensor
+from aerobalance.simulation import CableCut, Sensor, band_noise
 from helpers.cable_cut import T128
 
 RATE = 1600.0
@@ -244,6 +244,41 @@ def test_channel_delay_counts_like_the_dynamics_delay():
     by_ground = record(AF=load, ground_acceleration=(ground, {"delay": -late, "noise": 1e-4}))
     for recording in (by_load, by_ground):
         assert rms(middle(estimate_force(recording, T128, bandwidth=100.0).only.values, 0.6)) < 0.3
+
+
+@pytest.mark.parametrize("of_load", [0.0, 0.005])
+def test_a_declared_delay_of_the_pitch_is_taken_out(of_load, rng):
+    """The weight at the load's instants, whenever the pitch was read; 20 ms at 1.3 Hz and 0.1 rad are 20 N rms."""
+    t, mass, late = np.arange(6400) / RATE, T128.mass, 0.02
+
+    def pitch(at):
+        return 0.1 * np.sin(2 * np.pi * 1.3 * at)
+
+    # far below the resonance the balance load is the weight: the gain differs from 1 by (1.3 / 66)^2 = 4e-4
+    load = mass * STANDARD_GRAVITY * np.sin(pitch(t - of_load)) + rng.normal(0, 2, t.size)
+    angle = pitch(t - late) + rng.normal(0, 1e-5, t.size)
+    run = record(AF=(load, {"delay": of_load, "noise": 2.0}), pitch=(angle, {"delay": late, "noise": 1e-5}))
+    found = estimate_force(run, T128).only
+    assert found.doubts == ()
+    assert rms(found.values) < 0.5
+    assert np.max(np.abs(found.values) / found.uncertainty) < 6
+
+
+def test_a_load_read_before_the_moving_ground_counts_as_missing(rng):
+    """Of 12 samples the ground's motion was not recorded: the force of them is as uncertain as it is wrong."""
+    late, count = 12, 3200
+    ground = band_noise(rng, low=5, high=60, rms=2.0, period=10.0)(np.arange(count + late) / RATE)
+    whole = record(AF=np.zeros(count + late), ground_acceleration=(ground, {"noise": 1e-3}))
+    load = force_record(whole, T128).component_record("AF").from_ground + rng.normal(0, 2, count + late)
+    ground = ground + rng.normal(0, 1e-3, ground.size)
+    in_time = record(AF=(load[late:], {"noise": 2.0}), ground_acceleration=(ground[late:], {"noise": 1e-3}))
+    delayed = record(
+        AF=(load[:-late], {"noise": 2.0, "delay": late / RATE}), ground_acceleration=(ground[late:], {"noise": 1e-3})
+    )
+    sooner, later = (estimate_force(one, T128).only for one in (in_time, delayed))
+    assert np.max(np.abs(sooner.values) / sooner.uncertainty) < 6
+    assert np.max(np.abs(later.values) / later.uncertainty) < 6
+    assert later.uncertainty[0] > sooner.uncertainty[0]
 
 
 def test_smoother_bridges_missing_samples(rng):

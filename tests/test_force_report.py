@@ -8,19 +8,22 @@ import warnings
 from dataclasses import replace
 from html import unescape
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from aerobalance.app.cli.program import main
+from aerobalance.app.reports.force_curves import BEFORE, CLOSE, ForceCurves
 from aerobalance.app.reports.page import sentence
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.io import write_recording
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.channel import Channel
-from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.components import STANDARD_GRAVITY, si_unit
 from aerobalance.recording.errors import DataQualityWarning
+from aerobalance.recording.parts import parts_of
 from aerobalance.recording.recording import Recording
 
 MASS, STIFFNESS, PITCH, FORCE = 178.0, 3.09e7, np.radians(2.5), 200.0
@@ -43,7 +46,7 @@ def reported(folder: Path, monkeypatch, capsys, dynamics, *, components=("AF",))
     channels = {"pitch": Channel("pitch", np.full(time.size, PITCH), "rad")}
     for name in components:
         load = FORCE + (weight if name == "AF" else 0.0) + generator.normal(0, 1, time.size)
-        channels[name] = Channel(name, load, "N")
+        channels[name] = Channel(name, load, si_unit(name))
     run = Recording.from_columns(time, channels, name="run")
     monkeypatch.chdir(folder)
     with warnings.catch_warnings():
@@ -79,15 +82,59 @@ def test_the_page_says_what_was_used_and_leads_from_load_to_force(tmp_path, monk
 def test_of_coupled_components_the_modes_are_listed(tmp_path, monkeypatch, capsys) -> None:
     rate = 2 * np.pi * np.array([60.0, 90.0])
     inertia = np.diag(1 / rate**2)
-    dynamics = CoupledDynamics(("NF", "AF"), inertia, np.diag(2 * 0.01 / rate))
-    found, page = reported(tmp_path, monkeypatch, capsys, dynamics, components=("NF", "AF"))
-    rows = [row for row in cells(page) if row[0] == "NF, AF"]
+    dynamics = CoupledDynamics(("NF", "PM"), inertia, np.diag(2 * 0.01 / rate))
+    found, page = reported(tmp_path, monkeypatch, capsys, dynamics, components=("NF", "PM"))
+    rows = [row for row in cells(page) if row[0] == "NF, PM"]
     assert [row[1] for row in rows] == ["Mode 1", "Mode 2"]
     assert rows[0][2].startswith("60 Hz, damping ratio 0.01")
     assert found["components"]["NF"]["mean_weight"] == 0.0  # no mass is known
+    units = [found["components"][name]["spectrum"]["unit"] for name in ("NF", "PM")]
+    assert units == ["N^2/Hz", "(N*m)^2/Hz"]
 
 
 def test_a_sentence_begins_with_a_capital_but_not_in_a_channels_name() -> None:
     assert sentence("no filter is declared") == "No filter is declared"
     assert sentence("ground_acceleration is not recorded") == "ground_acceleration is not recorded"
     assert sentence("") == ""
+
+
+def curves_of(load, force):
+    """What a page keeps of a record of one part, by its load and force."""
+    (part,) = parts_of(force.size, length=force.size, margin=0)
+    one = SimpleNamespace(values=force, uncertainty=np.ones(force.size))
+
+    class Found(dict):
+        recording = SimpleNamespace(channel=lambda _: SimpleNamespace(values=load))
+
+    given = SimpleNamespace(
+        force=Found(AF=one), own=slice(0, force.size), part=part, first=0,
+        values={"AF": force}, uncertainty={"AF": one.uncertainty},
+    )  # fmt: skip
+    curves = ForceCurves(force.size, 0.0)
+    curves.add(given, "AF")
+    return curves
+
+
+@pytest.mark.parametrize("count", [2000, 200_000])
+def test_missing_samples_leave_the_rest_of_a_curve(rng, count):
+    load = rng.normal(size=count)
+    load[::150] = np.nan
+    load[count // 2 + 1 : count // 2 + 1000] = np.nan
+    curves = curves_of(load, np.zeros(count))
+    if curves.width == 1:
+        np.testing.assert_array_equal(curves.load, load)
+        return
+    pieces = load[: count // curves.width * curves.width].reshape(-1, curves.width)
+    known = np.isfinite(pieces)
+    ends = [np.where(known, pieces, np.inf).min(axis=1), np.where(known, pieces, -np.inf).max(axis=1)]
+    expected = np.where(known.any(axis=1), ends, np.nan)
+    assert 1 <= np.isnan(expected[0]).sum() <= 1000 / curves.width
+    np.testing.assert_array_equal(curves.load, expected.T.ravel())
+
+
+def test_a_gap_in_the_force_is_no_step():
+    force = np.zeros(20_000)
+    force[3000:3400] = np.nan
+    force[12_000:] = 1000.0
+    view = curves_of(np.zeros(20_000), force).closer(SimpleNamespace(steps=("one",)))
+    assert (view.first, view.size) == (11_999 - int(BEFORE * CLOSE), 1000.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ from scipy.signal import butter, sosfilt
 from scipy.stats import binom, chi2, norm
 
 from aerobalance.app.commands.identify import identify_decay as identify_command
+from aerobalance.app.monitor.identified import write_identified
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.identification.free_decay.driven import driven
@@ -330,19 +332,28 @@ def test_what_is_cut_off_is_told(rng):
 
 
 def test_the_command_tells_doubts_as_fields(tmp_path, rng):
-    path = tmp_path / "decay.csv"
-    write_recording(path, windy(rng, rms=50.0, band=(0.0, 200.0)))
+    path, recording = tmp_path / "decay.csv", windy(rng, rms=50.0, band=(0.0, 200.0))
+    moment = {"PM": Channel("PM", recording.channel("AF").values, "N*m")}
+    write_recording(path, Recording.from_columns(recording.time, moment))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)
-        found = identify_command(path, None, mass=str(T128.mass))
+        found = identify_command(path, None, component="PM", mass=str(T128.mass))
     assert found["verdict"] in ("doubtful", "not usable")  # the damping is known to a third
     by_kind = {doubt["kind"]: doubt for doubt in found["doubts"]}
     assert set(by_kind["driving force"]) == {"kind", "component", "effect", "unit", "text", "advice"}
     hardly = by_kind["damping hardly told"]
-    component = found["components"]["AF"]
+    component = found["components"]["PM"]
     assert hardly["effect"] == pytest.approx(component["damping"]["u"] / component["damping"]["value"])
     assert found["summary"].startswith(found["verdict"])
-    assert component["fit"]["force_density"]["unit"] == "N^2/Hz"
+    # the mass that makes a moment has its lever, kg*m, and what goes with it is in N and N*s
+    fit = component["fit"]
+    assert [component[name]["unit"] for name in ("mass", "stiffness", "damping")] == ["kg*m", "N", "N*s"]
+    assert [fit["reference"][name]["unit"] for name in ("stiffness", "damping")] == ["N", "N*s"]
+    assert [fit["height"]["unit"], fit["force_density"]["unit"]] == ["N*m", "(N*m)^2/Hz"]
+    write_identified(tmp_path / "page.html", found, path, component="PM", kind="decay")
+    page = (tmp_path / "page.html").read_text()
+    for name, unit in {"Mass": "kg·m", "Stiffness": "N", "Damping": "N·s", "Natural frequency": "Hz"}.items():
+        assert re.search(rf">{name}</th><td[^>]*>.*?</td><td>{unit}</td>", page), name
     assert all(doubt["text"] in " ".join(found["warnings"]) for doubt in found["doubts"])
 
 

@@ -176,6 +176,11 @@ def test_the_command_compares_and_names_what_departs(tmp_path, capsys):
     said = capsys.readouterr()
     assert "A and D as identified: holds" in said.out
     assert "Elements that depart most" in said.out
+    # as they are, in N and N*m; not over half of range, which this command does not know
+    title = "A (inertia), loads in N and N*m, elements in 1e-6 s^2, with m or 1/m between a force and a moment"
+    (after,) = said.out.split(title)[1:]
+    row = next(line for line in after.splitlines() if line.split()[:1] == ["NF"] and "PM" not in line)
+    assert [float(value) for value in row.split()[1:]] == pytest.approx(1e6 * truth.inertia[0], rel=1e-4)
     assert not said.err
     assert read_coupled(out).mass.mass == 20.0
     assert main([*command, "--compare", str(identified), "--json"]) == 0  # the ratios of the other

@@ -57,5 +57,12 @@ def test_nothing_waits_where_nothing_is_late() -> None:
 def test_chunks_make_no_difference(late, cuts) -> None:
     rows = np.random.default_rng(1).normal(size=(120, len(late)))
     rows[60, 0] = np.nan
-    whole = Aligner(late).push(rows)
-    assert pushed(Aligner(late), rows, cuts).tobytes() == whole.tobytes()
+    whole = Aligner(late, loads=1).push(rows)
+    assert pushed(Aligner(late, loads=1), rows, cuts).tobytes() == whole.tobytes()
+
+
+@pytest.mark.parametrize(("late", "missing"), [(-4.0, 3), (-4.5, 4), (-1.0, 0), (3.0, 0)])
+def test_loads_are_missing_while_another_channel_is_more_than_a_sample_before_its_first(late, missing, rng) -> None:
+    made = Aligner([0.0, late], loads=1).push(rng.normal(size=(60, 2)))
+    assert np.flatnonzero(np.isnan(made[:, 0])).tolist() == list(range(missing))
+    assert np.isfinite(made[:, 1]).all()

@@ -416,6 +416,8 @@ def test_wrong_calls():
         live.push(np.zeros((10, 5)))
     with pytest.raises(ValueError, match="there is no RM among"):
         LiveForce(balance.dynamics, rate=RATE, channels=["NF", "PM", "SF", "YM", "AF"])
+    with pytest.raises(ValueError, match="PM stands twice among NF, PM"):
+        LiveForce(balance.dynamics, rate=RATE, channels=[*COMPONENTS, "PM"])
     with pytest.raises(FitError, match="no readings of NF yet"):
         live.snapshot("NF")
     bare = CoupledDynamics(COMPONENTS, balance.dynamics.inertia, balance.dynamics.damping)

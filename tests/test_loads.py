@@ -7,15 +7,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from aerobalance.balance.calibration.fit import calibrate
-from aerobalance.balance.loads import Loads, loads_of_outputs, static_uncertainty, wind_off_loads
+from aerobalance.balance.loads import Loads, loads_of_outputs, static_uncertainty
 from aerobalance.balance.matrix import BalanceMatrix, TemperatureEffect
 from aerobalance.balance.reduction import reduce_outputs
-from aerobalance.balance.terms import KINDS
+from aerobalance.balance.terms import KINDS, terms_of
 from aerobalance.balance.weighing import LoadPoints, Weighing, fit_weight
+from aerobalance.balance.wind_off import wind_off_loads
 from aerobalance.balance.zeros import GaugeZero, Zero, gauge_table, gauge_zero
 from aerobalance.recording.channel import Array, Channel
+from aerobalance.recording.components import COMPONENTS, MOMENTS
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, random_balance
@@ -45,6 +48,26 @@ def swinging(count: int, generator: np.random.Generator) -> Array:
     return 0.6 * CAPACITIES * np.sin(2 * np.pi * speeds * time[:, None] + phases)
 
 
+def linear_balance(coefficients: Array) -> BalanceMatrix:
+    """A balance of 100 N and N*m at 1 mV/V, whose bridges feel the loads over capacity by a matrix, (6, 6)."""
+    return BalanceMatrix(
+        components=COMPONENTS,
+        gauges=COMPONENTS,
+        way="iterative",
+        terms=terms_of("linear", 6),
+        coefficients=coefficients,
+        load_scale=np.full(6, 100.0),
+        output_scale=np.ones(6),
+        covariance=np.zeros((6, 6, 6)),
+        residual_deviation=np.full(6, 1e-4),
+        residual_correlation=np.eye(6),
+        degrees_of_freedom=np.full(6, 50),
+        calibrated=np.array([[-100.0] * 6, [100.0] * 6]),
+        natural_zero=None,
+        moments=np.array([name in MOMENTS for name in COMPONENTS]),
+    )
+
+
 def zeroed(outputs: Array) -> GaugeZero:
     return GaugeZero(outputs, np.zeros(6), "known", np.zeros(6), model_on=False)
 
@@ -71,6 +94,29 @@ def test_loads_of_a_known_balance_come_back(balance: BalanceMatrix, rng) -> None
     # the iteration ends at 1e-12 of capacity; sums of two loads, and noise-free outputs rounded at 1e-16 of 1 mV/V
     assert np.allclose(felt.values, in_direct(balance, native), atol=1e-10 * CAPACITIES.max(), rtol=0)
     assert not felt.beyond
+
+
+def test_bridges_that_are_read_one_after_the_other_are_brought_together(rng) -> None:
+    """As a multiplexer reads them, with a gap in one: loads of the instants in their middle."""
+    count, late = 2000, np.array([0.0, 0.4e-3, 0.8e-3, 1.2e-3, 1.6e-3, 2.0e-3])
+    time, turn = np.arange(count) / RATE, 2 * np.pi * np.array([60.0, 45.0, 30.0, 70.0, 20.0, 55.0])
+    balance = linear_balance(np.eye(6) + 0.05 * rng.normal(size=(6, 6)))
+
+    def loads_at(at: Array) -> Array:
+        return 50 * np.sin(turn * at[:, None])
+
+    outputs = np.column_stack([balance.outputs(loads_at(time - by))[:, i] for i, by in enumerate(late)])
+    outputs[1000:1004, 3] = np.nan
+    channels = {
+        f"r{name}": Channel(f"r{name}", column, "mV/V", delay=float(by))
+        for name, column, by in zip(balance.gauges, outputs.T, late, strict=True)
+    }
+    found = loads_of_outputs(Recording.from_columns(time, channels), balance, zero=NONE)
+    assert found.recording.channel("NF").delay == pytest.approx(late.mean())
+    error = np.abs(found.values - loads_at(time - late.mean()))[20:-20] / 50
+    assert np.nanmax(error) < 1e-5  # the interpolation errs by 3e-6 of a channel, which feels others by 5 %
+    # 0.2 samples after one that was read, each is made of ten from before and ten from after it
+    assert np.flatnonzero(np.isnan(found.values[20:-20, 0])).tolist() == list(range(980 - 10, 984 + 9))
 
 
 def test_a_zero_is_the_mean_and_its_drift_is_taken_off(balance: BalanceMatrix, rng) -> None:
@@ -139,6 +185,42 @@ def test_a_jump_between_two_zeros_is_doubted(balance: BalanceMatrix, rng) -> Non
     (doubt,) = [one for one in felt.doubts if one.component == "AF"]
     error = felt.values[:, 5] - in_direct(balance, native)[:, 5]
     assert doubt.effect == pytest.approx(np.sqrt(np.mean(error**2)), rel=0.1)  # sensitivities, as above
+
+
+def test_zeros_that_contradict_each_other_are_doubted_and_count(balance: BalanceMatrix, rng) -> None:
+    zero, apart = rng.normal(0, 0.3, 6), np.zeros(6)
+    apart[5] = 0.1
+    native = np.tile(0.4 * CAPACITIES, (200, 1))
+    run, zeros = (
+        recorded(balance.outputs(native) + zero),
+        [at_rest(rng, zero), at_rest(rng, zero + apart, name="other")],
+    )
+    with pytest.warns(DataQualityWarning, match="zero, other are zeros that differ by .* of AF"):
+        felt = reduce_outputs(run, balance, zero=Zero(zeros, model_on=False))
+    # of two values the standard uncertainty of the mean is half of what they differ by: as far off as either may be
+    assert felt.zero.u[5] == pytest.approx(0.05, abs=5 * NOISE / np.sqrt(4000))
+    (doubt,) = [one for one in felt.doubts if one.component == "AF"]
+    error = felt.values[:, 5] - in_direct(balance, native)[:, 5]
+    # sensitivities change by some per cent between the load and the load with the error
+    assert doubt.effect == pytest.approx(np.sqrt(np.mean(error**2)), rel=0.1)
+    assert doubt.effect < 1.01 * felt.calibration[:, 5].mean()
+
+
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")  # of the weight along others
+def test_zeros_under_the_weight_at_several_attitudes_may_differ(balance: BalanceMatrix, rng) -> None:
+    """A zero is the mean of those at 0 and 10 deg as well, if the weight in each is known."""
+    weighing = weighed(rng)
+
+    def at(degrees: float, force: float, name: str) -> Recording:
+        pitch = np.full(800, np.radians(degrees))
+        native = np.zeros((800, 6))
+        native[:, 5] = force + 50.0 * np.sin(pitch)
+        return recorded(balance.outputs(native), extra={"pitch": ("rad", pitch)}, name=name)
+
+    zeros = Zero([at(10.0, 0.0, "first"), at(0.0, 0.0, "second")], model_on=True)
+    felt = reduce_outputs(at(6.0, 120.0, "run"), balance, zero=zeros, tare=weighing)
+    assert felt.doubts == ()
+    assert felt.zero.u.max() < 1e-9  # there is no noise
 
 
 def test_a_run_is_not_its_own_zero(balance: BalanceMatrix, rng) -> None:
@@ -216,6 +298,17 @@ def test_a_zero_says_whether_the_model_was_on(balance: BalanceMatrix) -> None:
         loads_of_outputs(recorded(np.zeros((100, 6))), balance, zero=replace(NONE, model_on=None))
 
 
+@pytest.mark.parametrize("said", [True, False])
+def test_what_a_zero_says_may_come_from_an_array(said: bool) -> None:
+    assert Zero(recorded(np.zeros((100, 6))), model_on=np.array([said])[0]).model_on is said
+
+
+@pytest.mark.parametrize("said", [0, 1, None, "on"])
+def test_a_zero_says_it_in_no_other_words(said) -> None:
+    with pytest.raises(ValueError, match=f"a zero must say how it was read.*; not {said!r}"):
+        Zero(recorded(np.zeros((100, 6))), model_on=said)
+
+
 def test_a_run_among_its_tares_is_told(balance: BalanceMatrix, rng) -> None:
     pitch = np.zeros(800)
     run, other = (
@@ -250,6 +343,58 @@ def test_wind_off_loads_are_taken_off_at_the_same_pitch(balance: BalanceMatrix, 
         wind_off_loads(at(pitch * 2, aero, "steep"), off, balance, zero=NONE)
 
 
+def test_a_tare_is_known_as_well_as_the_mean_of_what_sways(balance: BalanceMatrix, rng) -> None:
+    """An AR(1) process of r = 0.95: its mean scatters by sqrt((1 + r) / (1 - r)) = 6.2 times that of white noise."""
+    samples, count = 4000, 30
+    run = recorded(np.zeros((50, 6)))
+    tares, us = [], []
+    for _ in range(count):
+        sway = lfilter([1], [1, -0.95], rng.normal(0, NOISE, (samples + 200, 6)), axis=0)[200:]
+        sway[::7, 2] = np.nan  # what is missing is in no mean
+        value, u = wind_off_loads(run, [recorded(sway)], balance, zero=NONE)
+        tares.append(value[0])
+        us.append(u[0])
+    stated = np.sqrt(np.mean(np.square(us), axis=0))
+    # 30 means of six loads tell their standard deviation to 1 / sqrt(360) = 5 %; batches of 200 samples are correlated
+    # by some per cent
+    assert np.sqrt(np.mean((np.array(tares) / stated) ** 2)) == pytest.approx(1, abs=0.25)
+
+
+def test_tares_before_and_after_a_run_at_its_pitch_count_by_their_mean(balance: BalanceMatrix, rng) -> None:
+    """A line through two that are 0.02 deg apart would turn the noise of the run's pitch into a load."""
+    pitch = np.radians(0.05) * rng.choice([-1.0, 1.0], 300)
+
+    def at(degrees: float, force: float) -> Recording:
+        outputs = balance.outputs(np.tile([0, 0, 0, 0, 0, force], (200, 1))) + rng.normal(0, 1e-6, (200, 6))
+        return recorded(outputs, extra={"pitch": ("rad", np.full(200, np.radians(degrees)))})
+
+    run = recorded(np.zeros((300, 6)), extra={"pitch": ("rad", pitch)})
+    value, u = wind_off_loads(run, [at(0.01, 10.0), at(-0.01, 20.0)], balance, zero=NONE)
+    # half of what two differ by, as above
+    assert np.allclose(value[:, 5], 15.0, atol=1e-3)
+    assert np.allclose(u[:, 5], 5.0, atol=1e-3)
+    # at 0 deg their mean, and from there the line to the next
+    value, u = wind_off_loads(
+        run, [at(0.01, 10.0), at(5.0, 45.0), at(-0.01, 20.0), at(-5.0, 45.0)], balance, zero=NONE
+    )
+    assert np.allclose(value[:, 5], 15.0 + 30.0 * np.abs(np.degrees(pitch)) / 5, atol=1e-3)
+    assert np.allclose(u[:, 5], 5.0 * (1 - np.abs(np.degrees(pitch)) / 5), atol=1e-3)
+
+
+def test_tares_of_unknown_attitude_count_by_what_they_differ_by(balance: BalanceMatrix, rng) -> None:
+    off = [
+        recorded(balance.outputs(np.tile([0, 0, 0, 0, 0, force], (200, 1))) + rng.normal(0, 1e-6, (200, 6)))
+        for force in (10.0, 20.0)
+    ]
+    value, u = wind_off_loads(recorded(np.zeros((50, 6))), off, balance, zero=NONE)
+    # half of what two differ by; noise of 1e-6 mV/V is some 1e-4 N
+    assert value[0, 5] == pytest.approx(15.0, abs=1e-3)
+    assert u[0, 5] == pytest.approx(5.0, abs=1e-3)
+    lost = recorded(np.where(np.arange(3)[:, None] == 0, 0.0, np.full((3, 6), np.nan)), name="lost")
+    with pytest.raises(FitError, match="lost: fewer than two samples have all loads"):
+        wind_off_loads(recorded(np.zeros((50, 6))), [lost], balance, zero=NONE)
+
+
 def test_temperature_effects_are_taken_out(balance: BalanceMatrix, rng) -> None:
     effects = {
         name: TemperatureEffect(20.0, rng.normal(0, 1e-3), 0.0, rng.normal(0, 1e-3), 0.0)
@@ -267,6 +412,65 @@ def test_temperature_effects_are_taken_out(balance: BalanceMatrix, rng) -> None:
     assert np.allclose(felt.values, in_direct(balance, native), atol=1e-10 * CAPACITIES.max())
     left = loads_of_outputs(run, balance, zero=NONE).values - in_direct(balance, native)
     assert np.abs(left).max() > 1e-3 * CAPACITIES.min()
+
+
+def test_natural_zeros_move_with_the_temperature_since_the_calibration(balance: BalanceMatrix, rng) -> None:
+    effects = {
+        name: TemperatureEffect(20.0, rng.normal(0, 1e-3), 1e-4, rng.normal(0, 1e-3), 0.0)
+        for name in balance.components
+    }
+    natural = rng.normal(0, 0.3, 6)
+    warm = replace(balance, temperature=effects, natural_zero=natural)
+    native, change = np.tile(0.4 * CAPACITIES, (40, 1)), 30.0
+    slope, gain = np.array([(effect.zero, effect.sensitivity) for effect in effects.values()]).T
+    outputs = balance.outputs(native) * (1 + gain * change) + natural + slope * change
+    run = recorded(outputs, extra={"temperature": ("degC", np.full(40, 20.0 + change))})
+    with pytest.warns(DataQualityWarning, match="moved since, but for what temperature does to them, goes"):
+        felt = loads_of_outputs(run, warm)
+    assert np.allclose(felt.values, in_direct(balance, native), atol=1e-10 * CAPACITIES.max())
+    # the zeros are known to 30 K times 1e-4 mV/V/K; sensitivities are drawn 3 % off, and 15 % is five times that
+    by_zero = np.sqrt((felt.transform @ balance.sensitivity(native[:1])[0]) ** 2 @ np.full(6, (change * 1e-4) ** 2))
+    assert np.allclose(np.sqrt(felt.apart[0]), by_zero, rtol=0.15)
+
+
+def test_what_is_not_known_of_the_temperature_effects_is_in_the_uncertainty(balance: BalanceMatrix, rng) -> None:
+    small = 1e-5  # [mV/V/K] and [1/K]: over 30 K the second order is 3e-4 of the first
+    effects = {
+        name: TemperatureEffect(20.0, rng.normal(0, 1e-3), small, rng.normal(0, 1e-3), small)
+        for name in balance.components
+    }
+    warm = replace(balance, temperature=effects)
+    temperature = np.linspace(30.0, 50.0, 40)
+    native = np.tile(0.4 * CAPACITIES, (40, 1))  # one load, at which the matrix has one slope
+    run = recorded(balance.outputs(native), extra={"temperature": ("degC", temperature)})
+    felt = loads_of_outputs(run, warm, zero=NONE)
+    # the same with each of the twelve effects off by its uncertainty
+    expected = np.zeros_like(felt.values)
+    for name, effect in effects.items():
+        for off in (
+            replace(effect, zero=effect.zero + small),
+            replace(effect, sensitivity=effect.sensitivity + small),
+        ):
+            other = loads_of_outputs(run, replace(warm, temperature={**effects, name: off}), zero=NONE)
+            expected += (other.values - felt.values) ** 2
+    known = {name: replace(effect, u_zero=0.0, u_sensitivity=0.0) for name, effect in effects.items()}
+    without = loads_of_outputs(run, replace(warm, temperature=known), zero=NONE)
+    # zeros that moved by up to 1e-2 mV/V, and sensitivities by 3e-2, turn the slope of the matrix by as much
+    assert np.allclose(felt.calibration**2 - without.calibration**2, expected, rtol=0.1)
+    share = static_uncertainty(felt, forces={})["NF"] ** 2 - static_uncertainty(without, forces={})["NF"] ** 2
+    assert np.allclose(share, expected[:, 0], rtol=0.1)
+
+
+def test_without_a_temperature_its_effects_change_nothing(balance: BalanceMatrix, rng) -> None:
+    effect = TemperatureEffect(20.0, 1e-3, 1e-3, 1e-3, 1e-3)
+    run = recorded(balance.outputs(swinging(40, rng)))
+    plain, warm = (
+        loads_of_outputs(run, replace(balance, temperature=effects), zero=NONE)
+        for effects in ({}, dict.fromkeys(balance.components, effect))
+    )
+    np.testing.assert_array_equal(warm.values, plain.values)
+    np.testing.assert_array_equal(warm.uncertainty, plain.uncertainty)
+    assert warm.apart.shape == (1, 6)
 
 
 def test_noise_of_the_bridges_becomes_noise_of_the_loads(balance: BalanceMatrix, rng) -> None:
@@ -477,3 +681,15 @@ def test_interactions_that_nearly_keep_the_iteration_from_settling_are_told(seed
         found = loads_of_outputs(large, balance, zero=NONE, form="force")
     assert found.contraction == pytest.approx(0.76)
     assert loads_of_outputs(small, balance, zero=NONE, form="force").contraction == pytest.approx(0.4)
+
+
+def test_a_part_of_a_record_in_a_gap_has_missing_loads(balance: BalanceMatrix, rng) -> None:
+    outputs = balance.outputs(rng.uniform(-0.3, 0.3, (120, 6)) * balance.load_scale)
+    outputs[40:90, 2] = np.nan
+    record = recorded(outputs)
+    part = loads_of_outputs(record.part(50, 80), balance, zero=NONE)
+    assert part.values.shape == (30, 6)
+    assert np.isnan(part.values).all() and np.isnan(part.uncertainty).all() and not part.beyond
+    outputs[:, 2] = np.nan
+    with pytest.raises(FitError, match="no sample gives loads"):
+        loads_of_outputs(recorded(outputs), balance, zero=NONE)

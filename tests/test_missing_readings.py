@@ -67,7 +67,7 @@ def test_what_fills_a_long_gap_is_in_the_uncertainty(late: float, rng, monkeypat
     """Readings that are not found one by one: too many, or of channels on different clocks."""
     monkeypatch.setattr(missing_readings, "MOST", 0)
     scores = []
-    for _ in range(2):
+    for _ in range(trials(1, 2)):
         record = SixScene().record(rng)
         given = recording_of(np.column_stack(list(record.columns.values())), SIX.rate)
         delays = {name: late * place / SIX.rate for place, name in enumerate(COMPONENTS)}

@@ -265,29 +265,101 @@ def test_zero_leaves_the_weight() -> None:
     assert view.zeros()["AF"] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_zero_under_a_weight_reads_curved_bridges_from_where_they_are(rng, seed) -> None:
+def view_of_channels(*names: str, **more) -> View:
+    """A view of channels in SI at 1000 Hz, without dynamics unless some are given."""
+    channels = tuple(StoredChannel(name=name, unit=QUANTITIES.get(name, "mV/V")) for name in names)
+    return View(Panel(channels, 1000.0, True, more.pop("dynamics", NO_DYNAMICS), {}, more.pop("limits", {}), **more))
+
+
+def feed_constant(view: View, values, ticks: int, first: int) -> None:
+    view.feed(Block(first, np.tile(np.asarray(values, float), (ticks, 1)), (first + ticks) / 1000))
+
+
+def test_samples_less_the_zero_before_are_in_no_later_mean() -> None:
+    view = view_of_channels("AF")
+    feed_constant(view, [100.0], 100, 0)  # held for the numbers to come
+    view.set_zeros({"AF": 100.0})
+    feed_constant(view, [100.0], 100, 100)
+    feed_constant(view, [100.0], 100, 200)
+    assert view.take().readings["AF"].mean == 0.0
+    assert view.zeros() == {"AF": 100.0}
+
+
+@pytest.mark.parametrize("ticks", [20, 100, 200])
+def test_means_since_does_not_depend_on_the_blocks(ticks) -> None:
+    view = view_of_channels("AF")
+    for first in range(0, 600, ticks):
+        feed_constant(view, [1.0], ticks, first)
+    # a sample a millisecond, the first at 1 ms
+    assert view.means_since == pytest.approx(0.001, abs=1e-9)
+    assert len(view.means) == 3
+    for first in range(600, 1400, ticks):
+        feed_constant(view, [1.0], ticks, first)
+    assert view.means_since == pytest.approx(0.401, abs=1e-9)  # five spans of 0.2 s end at 1.4 s
+
+
+def test_a_zero_is_taken_of_what_was_read_of_the_last_second() -> None:
+    view = view_of_channels("AF", "pitch", dynamics=dynamics_of(CABLE_CUT.dynamics))
+    for part in range(5):
+        feed_constant(view, [100.0, math.nan if part == 2 else 0.1], 200, 200 * part)
+    expected = 100.0 - CABLE_CUT.dynamics.mass * STANDARD_GRAVITY * math.sin(0.1)
+    assert view.zeros() == {"AF": pytest.approx(expected, rel=1e-12)}
+    for part in range(5, 10):
+        feed_constant(view, [100.0, math.nan], 200, 200 * part)
+    with pytest.raises(ValueError, match="no readings of pitch in the last second, without which the weight cannot"):
+        view.zeros()
+
+
+def test_a_load_that_was_not_read_keeps_its_zero() -> None:
+    view = view_of_channels("AF", "NF", "SF", zeros={"AF": 90.0, "NF": 50.0})
+    for part in range(5):
+        feed_constant(view, [100.0, math.nan if part == 2 else 80.0, math.nan], 200, 200 * part)
+    assert view.zeros() == {"AF": 100.0, "NF": 80.0}
+    for part in range(5, 10):
+        feed_constant(view, [100.0, math.nan, math.nan], 200, 200 * part)
+    assert view.zeros() == {"AF": 100.0, "NF": 50.0}
+    for part in range(10, 15):
+        feed_constant(view, [math.nan] * 3, 200, 200 * part)
+    with pytest.raises(ValueError, match="no readings"):
+        view.zeros()
+
+
+def test_no_zero_of_a_balance_one_bridge_of_which_is_not_read(seed) -> None:
+    balance = random_balance(seed)
+    view = view_of_channels(*(f"r{name}" for name in balance.gauges), balance=balance)
+    feed_constant(view, [0.1, math.nan, *[0.1] * 4], 200, 0)
+    with pytest.raises(ValueError, match=f"no readings of r{balance.gauges[1]} in .* which the loads cannot"):
+        view.zeros()
+
+
+@pytest.mark.parametrize("zeroed", [False, True], ids=["natural zeros", "zeros of the day in the set-up"])
+def test_zero_under_a_weight_reads_curved_bridges_from_where_they_are(rng, seed, zeroed) -> None:
     balance = replace(random_balance(seed), natural_zero=rng.uniform(-0.05, 0.05, 6))
+    empty = balance.natural_zero + (0.1 if zeroed else 0.0)
+    offsets = -1e3 * empty if zeroed else np.zeros(6)
     hung = rng.uniform(0.2, 0.5, 6) * balance.load_scale
     added = rng.uniform(-0.3, 0.3, 6) * balance.load_scale
-    channels = tuple(StoredChannel(name=f"r{name}", unit="uV/V") for name in balance.gauges)
+    given = zip(balance.gauges, offsets.tolist(), strict=True)
+    channels = tuple(StoredChannel(name=f"r{name}", unit="uV/V", offset=offset) for name, offset in given)
     view = View(Panel(channels, 1000.0, True, NO_DYNAMICS, {}, {}, balance=balance))
 
     def shown(native: np.ndarray) -> dict:
-        outputs = balance.outputs(np.tile(native, (400, 1))) + balance.natural_zero
+        outputs = balance.outputs(np.tile(native, (400, 1))) + empty
         view.feed(Block(400 * shown.blocks, 1e3 * outputs, 0.0))
         shown.blocks += 1
         return view.take().readings
 
     shown.blocks = 0
     for _ in range(3):
-        shown(hung)
+        readings = shown(hung)
+    for name, expected in zip(COMPONENTS, balance.direct @ hung, strict=True):
+        # the iteration ends at 1e-9 of capacity or below
+        assert readings[name].mean == pytest.approx(expected, rel=1e-6, abs=1e-4)
     view.set_zeros(view.zeros())
-    expected = balance.direct @ added
     for _ in range(3):
         readings = shown(hung + added)
-    for place, name in enumerate(COMPONENTS):
-        # the iteration ends at 1e-9 of capacity or below
-        assert readings[name].mean == pytest.approx(expected[place], rel=1e-6, abs=1e-4)
+    for name, expected in zip(COMPONENTS, balance.direct @ added, strict=True):
+        assert readings[name].mean == pytest.approx(expected, rel=1e-6, abs=1e-4)
 
 
 def test_loads_from_gauge_outputs(rng, seed) -> None:
@@ -319,7 +391,25 @@ def test_alarms_use_the_balance_load(limit, state) -> None:
     reading = view.take().readings["AF"]
     assert reading.state == state
     assert reading.percent == pytest.approx(100 * 1020 / 2000)
-    assert reading.limit is None or reading.limit == pytest.approx(1020 / -limit[0])
+    assert reading.limit == pytest.approx(1020 / -limit[0])
+
+
+@pytest.mark.parametrize(
+    ("limits", "value", "share", "state"),
+    [
+        ((-math.inf, 500.0), 490.0, 0.98, "high"),
+        ((-math.inf, 500.0), -490.0, 0.0, "ok"),
+        ((0.0, math.inf), -1.0, math.inf, "over"),
+        (None, 1960.0, 0.98, "high"),
+    ],
+)
+def test_share_of_limits_one_of_which_may_be_open(limits, value, share, state) -> None:
+    panel = Panel((StoredChannel(name="AF", unit="N"),), 1000.0, True, NO_DYNAMICS, {"AF": 2000.0}, {})
+    view = View(panel if limits is None else replace(panel, limits={"AF": limits}))
+    feed_constant(view, [value], 200, 0)
+    reading = view.take().readings["AF"]
+    assert (reading.state, reading.limit) == (state, pytest.approx(share))
+    assert reading.percent == pytest.approx(100 * abs(value) / 2000)
 
 
 def parsed(frame):

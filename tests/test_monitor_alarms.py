@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import pytest
 
 from aerobalance.app.monitor.alarms import Alarms
@@ -17,8 +20,8 @@ def reading(least, largest, state="over"):
 
 
 class Watched:
-    def __init__(self) -> None:
-        self.told = 0
+    def __init__(self, watching=WATCHING) -> None:
+        self.told, self.watching = 0, watching
         self.alarms = Alarms(self._tell)
 
     def _tell(self) -> None:
@@ -26,7 +29,7 @@ class Watched:
 
     def see(self, **changes):
         """An update; what is open after it."""
-        self.alarms.watch(Update(0, 0.0, **changes), WATCHING)
+        self.alarms.watch(Update(0, 0.0, **changes), self.watching)
         return {one["what"]: one for one in self.alarms.shown["open"]}
 
 
@@ -76,6 +79,36 @@ def test_combined_loads_are_an_alarm() -> None:
     used = Utilisation(1.2, "NF + PM", {"NF": 0.7, "PM": 0.5})
     alarms = watched.see(envelope=used, readings={"AF": reading(0, 1, "ok")})
     assert alarms["combined loads"]["value"] == pytest.approx(120)
+
+
+def test_an_alarm_is_not_over_because_its_readings_end() -> None:
+    watched = Watched()
+    used = Utilisation(1.2, "NF + PM", {"NF": 0.7, "PM": 0.5})
+    watched.see(envelope=used, readings={"AF": reading(0, 600)})
+    silent = ShownReading(math.nan, math.nan, math.nan, None, None, "none")
+    alarms = watched.see(readings={"AF": silent})
+    assert alarms["AF"]["present"] and alarms["combined loads"]["present"]
+    alarms = watched.see(envelope=used._replace(share=0.9), readings={"AF": reading(0, 10, "ok")})
+    assert not alarms["AF"]["present"] and not alarms["combined loads"]["present"]
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(
+    ("limit", "values", "shares"),
+    [(10.0, (9.0, 1.0, -5.0, -7.0), (10 / 9, 10.0, math.inf, math.inf)), (0.0, (-1.0, -3.0), (math.inf, math.inf))],
+)
+def test_the_worst_is_kept_of_a_load_that_must_stay_beyond_a_limit(limit, values, shares, sign) -> None:
+    """Above a lower limit of 10 N or 0; with the other sign below an upper one."""
+    limits = (limit, math.inf) if sign == 1 else (-math.inf, -limit)
+    watched = Watched(replace(WATCHING, limits={"AF": limits}))
+    for value, share in zip(values, shares, strict=True):
+        told = watched.told
+        alarm = watched.see(readings={"AF": reading(sign * value, sign * value)})["AF"]
+        assert (alarm["value"], alarm["share"]) == (sign * value, pytest.approx(share))
+        assert watched.told == told + 1  # each is worse by more than 2 %
+    assert watched.see(readings={"AF": reading(sign * values[0], sign * values[0])})["AF"] == alarm | {
+        "last": pytest.approx(alarm["last"], abs=10)
+    }
 
 
 def test_an_alarm_of_the_rig_is_in_the_state_until_it_is_acknowledged(tmp_path) -> None:

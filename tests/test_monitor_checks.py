@@ -6,13 +6,17 @@ import json
 import math
 import struct
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from aerobalance.acquisition.feed import SourceInfo
 from aerobalance.acquisition.guards import ContactCircuit
-from aerobalance.acquisition.source import Block
+from aerobalance.acquisition.setup import setup_from
+from aerobalance.acquisition.source import Block, SourceChannel
 from aerobalance.acquisition.source_settings import HALF_RANGES
+from aerobalance.app.monitor.checks import Checks
 from aerobalance.app.monitor.display import DisplayState
 from aerobalance.app.monitor.form import form_of
 from aerobalance.app.monitor.messages import News, Watching
@@ -100,6 +104,43 @@ def test_the_form_can_hold_every_kind_of_field() -> None:
     assert form["values"]["fouling"] == {"channel": "fouling", "level": 2.5}
     assert [field["key"] for field in form["envelope"]] == ["shape", "action"]
     assert next(field for field in form["tables"]["stations"] if field["key"] == "limit")["needed"]
+
+
+class StandIn:
+    """A check of a source that has been switched off, from means of its channels before and after."""
+
+    def __init__(self, channels, given, half_ranges=None):
+        info = SourceInfo(tuple(SourceChannel(*one) for one in channels), 1000.0, True, "a source", ())
+        names, units = zip(*channels, strict=True)
+        watching = Watching(1, names, units, 1000.0, 1, (), half_ranges or {}, {}, {}, {})
+        setup, running = setup_from(given), SimpleNamespace(info=info)
+        source = SimpleNamespace(setup=setup, running=lambda: running, watching=watching)
+        self.notes, self.opening_notes, self.said = [], [], []
+        self.checks = Checks(source, self, self)
+
+    def note(self, text, *, shown=True):
+        self.notes.append(text)
+
+    def say(self, text, *, kind):
+        self.said.append((kind, text))
+
+    def changed(self):
+        pass
+
+
+@pytest.mark.parametrize("kind", ["shunt", "return"])
+def test_a_channel_without_readings_fails_a_check(kind) -> None:
+    given = {"source": {"kind": "simulated"}, "shunt": {"rNF": {"change": 0.5}, "rPM": {"change": 0.5}}}
+    page = StandIn([("rNF", "mV/V"), ("rPM", "mV/V")], given, {"rNF": 1.0, "rPM": 1.0})
+    step = 0.5 if kind == "shunt" else 0.0
+    before, dead = np.array([0.0, 1e-5, 0.0, -1e-5]), (math.nan,) * 4
+    page.checks._judge(kind, {"rNF": tuple(before), "rPM": dead}, {"rNF": tuple(step + before), "rPM": dead})
+    assert [(row["channel"], row["verdict"]) for row in page.checks.shown["rows"]] == [
+        ("rNF", "passed"), ("rPM", "failed"),
+    ]  # fmt: skip
+    name = {"shunt": "shunt check", "return": "return to zero"}[kind]
+    assert page.said == [("error", f"{name} FAILED; rPM has no readings")]
+    assert f"{name} failed: rPM has no readings" in page.opening_notes
 
 
 @pytest.fixture(scope="module")

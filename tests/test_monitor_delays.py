@@ -14,7 +14,11 @@ from aerobalance.acquisition.source import Block
 from aerobalance.app.monitor.view import Panel, View
 from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.io.hdf5_layout import StoredChannel
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import ReadError
+from aerobalance.simulation.calibration_stand import CAPACITIES
+from aerobalance.simulation.calibration_stand import random_balance as calibrated
 from aerobalance.simulation.published import VIBRATION_RIG
 
 RATE = 25_000.0
@@ -98,6 +102,43 @@ def test_delays_are_taken_out_of_forces_that_ring_together(seed) -> None:
         # the first samples are held where those before them are not there, which is forgotten by and by
         after = slice(count // 2, count)
         assert np.std(aligned[name][after] - force[after]) < 0.05 * np.std(force[after]), name
+
+
+def test_gauge_outputs_read_one_after_the_other_are_brought_together(seed) -> None:
+    """N1 and N2 of one normal force, 1 ms apart: a moment that is not there unless they are aligned."""
+    rate, late = 6000.0, 3
+    balance = replace(calibrated(seed), natural_zero=None)
+    generator = np.random.default_rng(seed)
+    swing = np.sin(2 * np.pi * 25.0 * np.arange(24_000) / rate)[:, None]
+    native = 0.3 * CAPACITIES * np.array([1.0, 1.0, 0, 0, 0, 0]) * swing
+    outputs = balance.outputs(native) + 1e-5 * generator.normal(size=native.shape)
+    delays = late * np.array([-1.0, 1.0, 0.0, 0.0, 0.0, 0.0]) / rate
+    moved = [np.roll(outputs[:, 0], -late), np.roll(outputs[:, 1], late), outputs[:, 2:]]
+    behind = np.column_stack(moved)[late:-late]
+
+    def forces(rows: Array, delays: Array, cut: int) -> dict[str, Array]:
+        channels = tuple(
+            StoredChannel(f"r{gauge}", "mV/V", delay=float(by))
+            for gauge, by in zip(balance.gauges, delays, strict=True)
+        )
+        view = View(Panel(channels, rate, True, rig_dynamics("six"), {}, {}, balance=balance))
+        found: dict[str, list[Array]] = {}
+        for tick in range(0, len(rows), cut):
+            view.feed(Block(tick, rows[tick : tick + cut], 0.0))
+            for name, parts in view.take().forces.items():
+                found.setdefault(name, []).extend(bins.least[:, 0] for bins in parts)
+        return {name: np.concatenate(parts) for name, parts in found.items()}
+
+    there = forces(outputs[late:-late], np.zeros(6), 500)
+    aligned, ignored = forces(behind, delays, 500), forces(behind, np.zeros(6), 500)
+    other = forces(behind, delays, 1100)
+    assert set(there) == set(COMPONENTS)
+    for name in COMPONENTS:
+        assert np.array_equal(aligned[name][: other[name].size], other[name][: aligned[name].size])
+    count = min(part["PM"].size for part in (there, aligned, ignored))
+    after = slice(count // 2, count)
+    kept, wrong = (np.std(part["PM"][after] - there["PM"][after]) for part in (aligned, ignored))
+    assert kept < 0.02 * wrong
 
 
 def test_a_delay_that_cannot_be_is_refused() -> None:

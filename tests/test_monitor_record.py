@@ -1,13 +1,19 @@
-"""The record button, names and lengths, what a record's files are, and replays, on the page's server."""
+"""The record button, names and lengths, what a record's files are, tasks, and replays, on the page's server."""
 
 from __future__ import annotations
 
+import queue
+import threading
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from aerobalance.app.monitor import stepped_sine
 from aerobalance.app.monitor.folder import Folder
+from aerobalance.app.monitor.jobs import TaskOutcome
+from aerobalance.app.monitor.workers import Jobs
 from aerobalance.io.hdf5_contents import contents
 from helpers.running_page import Running
 
@@ -151,3 +157,86 @@ def test_a_replay_shorter_than_a_second_is_shown_whole(tmp_path, loop) -> None:
         assert not any("cannot be watched" in item["text"] for item in running.page.session.log.messages)
         # 0.4 s are two spans of 0.2 s: the page has had numbers
         assert running.page.display.numbers["readings"]["AF"]["largest"] == pytest.approx(100, abs=1)
+
+
+class Rig:
+    """Source, records, tasks and log of a rig at 100 Hz whose record ends by itself after so many dwells."""
+
+    def __init__(self, dwells, masses):
+        self.controls = {"frequency": 100.0}
+        self.watching = SimpleNamespace(components=("AF",), frequencies={"AF": 66.0}, masses=masses)
+        self.driven, self.left, self.begun, self.said = [], dwells, False, []
+
+    def control(self, name, value):
+        self.driven.append(value)
+
+    def begin(self, name, *, notes, seconds):
+        self.begun = True
+
+    @property
+    def under_way(self):
+        self.left -= 1
+        return self.left > 0
+
+    def stop(self):
+        raise ValueError("no record is under way")
+
+    def changed(self):
+        pass
+
+    def say(self, text, *, kind):
+        self.said.append((kind, text))
+
+
+def test_a_stepped_sine_run_that_ends_early_leaves_no_drive_at_resonance(monkeypatch) -> None:
+    monkeypatch.setattr(stepped_sine, "DWELL", 0.0)
+    rig = Rig(1 + stepped_sine.SHARES.index(1.0), {"AF": 177.0})
+    run = stepped_sine.SteppedSineRun(rig, rig, rig, rig, taken=())
+    run._run()
+    assert rig.driven[-2:] == [66.0, 100.0]
+    assert run.shown["text"] == "ended early: no record is under way"
+    assert rig.said == [("error", "stepped-sine run: no record is under way")]
+
+
+def test_a_stepped_sine_run_needs_a_mass() -> None:
+    rig = Rig(1, {})
+    with pytest.raises(ValueError, match="needs the moving mass along AF"):
+        stepped_sine.SteppedSineRun(rig, rig, rig, rig, taken=())
+    assert not rig.begun
+
+
+def test_controls_are_shown_as_the_source_has_them(tmp_path) -> None:
+    with Running(tmp_path, rig="vibration") as page:
+        before = page.wait(lambda state: True)["source"]["controls"]
+        assert before["frequency"] == 100.0
+        page.post("control", name="frequency", value=120.0)
+        page.post("control", name="frequency", value=1e6)
+        page.post("control", name="amplitude", value=20.0)
+        page.wait(lambda state: state["source"]["controls"]["amplitude"] == 20.0)
+        state = page.wait(lambda state: any("must be above 0" in said["text"] for said in state["messages"]))
+        assert state["source"]["controls"] == before | {"frequency": 120.0, "amplitude": 20.0}
+
+
+def test_tasks_that_wait_are_given_up_with_the_one_under_way(tmp_path, monkeypatch) -> None:
+    begun, ended, words = [], threading.Event(), queue.Queue()
+
+    def do(self, task):
+        begun.append(task.number)
+        assert ended.wait(10.0)
+        return TaskOutcome(task.number, True)
+
+    monkeypatch.setattr(Jobs, "_do", do)
+    jobs = Jobs(lambda task, outcome: words.put((task.number, outcome)))
+    numbers = [jobs.add("info", [str(tmp_path / "run.h5")], {}).number for _ in range(3)]
+    assert words.get(timeout=10.0) == (numbers[0], None)
+    jobs.cancel()
+    told = dict(words.get(timeout=10.0) for _ in numbers[1:])
+    assert {number: outcome.done for number, outcome in told.items()} == dict.fromkeys(numbers[1:], False)
+    ended.set()
+    number, outcome = words.get(timeout=10.0)
+    assert (number, outcome.done) == (numbers[0], True)
+    # a task after that is done as any other
+    after = jobs.add("info", [str(tmp_path / "run.h5")], {}).number
+    assert [words.get(timeout=10.0)[0] for _ in range(2)] == [after, after]
+    jobs.close()
+    assert begun == [numbers[0], after]

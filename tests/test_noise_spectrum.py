@@ -155,6 +155,20 @@ def test_mains_that_drift_are_told_by_their_power(rng):
     assert noise_spectrum_of(rng.normal(0, 2, t.size), T128, interval=1 / RATE).hum == ()
 
 
+def test_a_harmonic_of_both_mains_is_told_once(rng):
+    """Of 50 Hz and of 60 Hz: 300 and 600 Hz, which a six-pulse rectifier makes, as the mains drift."""
+    rate = 2000.0
+    t = np.arange(60_000) / rate
+    phase = 2 * np.pi * 50 * t + 0.0035 * np.cumsum(rng.normal(size=t.size))
+    values = rng.normal(size=t.size) + 0.5 * np.sin(6 * phase) + 0.3 * np.sin(12 * phase)
+    found = noise_spectrum_of(values, T128, interval=1 / rate)
+    assert sorted(round(line.frequency / 10) for line in found.hum) == [30, 60]
+    frequency = np.linspace(250, 350, 40_001)
+    # the phase walks by 0.5 rad in a fifth of a second, 150 times in the record: power by 1 / 150^(1/2) = 8 %
+    power = 2 * np.trapezoid(found.density(frequency) - found.white, frequency)
+    assert power == pytest.approx(0.5**2 / 2, rel=3 * 0.08)
+
+
 def test_longest_stretch_is_taken(rng):
     values = rng.normal(0, 50, 4000)
     values[1000:] = rng.normal(0, 2, 3000)

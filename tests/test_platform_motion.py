@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from aerobalance.dynamics.rigid_body import RigidMass
+from aerobalance.motion.at_rest import tones
 from aerobalance.motion.changes import MotionChanges
 from aerobalance.motion.least_squares import GroundFit
 from aerobalance.motion.platform import PlatformMotion
@@ -267,6 +268,10 @@ def test_a_rate_of_turn_that_rises_steadily_is_a_turn(rng):
     found = PlatformMotion.of(Recording.from_columns(time, {channel.name: still}))
     assert not found.acceleration.any()
     assert "shows nothing beyond its noise" in " ".join(found.assumptions)
+    turning = dataclasses.replace(still, values=still.values + 1.0)
+    found = PlatformMotion.of(Recording.from_columns(time, {channel.name: turning}))
+    (said,) = [text for text in found.assumptions if channel.name in text]
+    assert "no change beyond its noise and is not used; its mean of 1 rad/s may be a steady turn or its zero" in said
 
 
 def test_motion_that_no_sensor_sees_is_named():
@@ -341,6 +346,16 @@ def test_at_rest_is_zero_but_for_tones(rng):
     assert abs((left @ hum) / (hum @ hum) - 1) < 0.27 and rms(left - hum) < 0.2
     np.testing.assert_array_equal(motion.acceleration[:, COMPONENTS.index("NF")], channels[2].values)
     assert sum("beyond its noise" in text for text in motion.assumptions) == 2
+
+
+@pytest.mark.parametrize("samples", [64, 30, 8, 2])
+def test_tones_of_short_records_are_found(samples):
+    """All of 17 ordinates about a tone are kept: of a record of up to 16 samples everything but its mean."""
+    tone = np.cos(2 * np.pi * (samples // 4) * np.arange(samples) / samples)
+    found, share = tones(tone)
+    np.testing.assert_allclose(found, tone - tone.mean() if samples > 2 else 0.0, atol=1e-12)
+    kept = min(samples // 4 + 8, samples // 2) - max(samples // 4 - 8, 0) + 1 if samples > 2 else 0
+    assert share == pytest.approx(np.sqrt(kept / (samples // 2 + 1)), rel=1e-12)
 
 
 def test_tones_of_a_motion_at_rest_follow_the_channel_that_reads_them(rng):
@@ -510,11 +525,53 @@ def test_missing_readings_are_bridged_and_said():
     assert np.isfinite(motion.specific_force).all()
 
 
+def interleaved(rng, axes):
+    """Accelerometers that a multiplexer reads in turn, each moved by 5 m/s^2 at 3 Hz."""
+    clock = np.arange(4000) / RATE
+    values = 5 * np.sin(2 * np.pi * 3 * clock) + 0.01 * rng.normal(size=(2, clock.size))
+    values[0, ::2] = values[1, 1::2] = np.nan
+    return recording(
+        *(
+            Channel(f"ground_acceleration_{i}", one, "m/s^2", noise=0.01, axis=axis)
+            for i, (one, axis) in enumerate(zip(values, axes, strict=True))
+        )
+    )
+
+
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")  # of the missing readings
+@pytest.mark.parametrize("other", ["NF", "AF"])
+def test_sensors_that_are_read_in_turn_are_not_at_rest(other, rng):
+    """Whether they read two axes, or one, so that no sample has a reading of both."""
+    motion = PlatformMotion.of(interleaved(rng, [VECTORS["AF"], VECTORS[other]]))
+    assert not [text for text in motion.assumptions if "at rest" in text and "AF" in text]
+    moved = 5 * np.sin(2 * np.pi * 3 * np.arange(4000) / RATE)
+    for name in {"AF", other}:
+        # every second reading is predicted, by a step of up to 2 pi 3 Hz * 5 m/s^2 * 1 ms
+        np.testing.assert_allclose(motion.acceleration[:, COMPONENTS.index(name)], moved, atol=0.1)
+
+
 def test_nothing_recorded_is_rest_and_gravity():
     motion = PlatformMotion.of(recording(Channel("pitch", np.full(100, 0.3), "rad", noise=0.0)))
     assert not motion.acceleration.any() and any("at rest" in text for text in motion.assumptions)
     body = RigidMass(2.0, np.zeros(3), np.eye(3))
     np.testing.assert_allclose(motion.force(body), body.weight(np.full(100, 0.3)), atol=1e-12)
+
+
+@pytest.mark.parametrize("along", [None, "SF", "AF"])
+def test_a_roll_without_a_pitch_is_not_passed_over(along, rng):
+    """At level pitch a roll from 0 to 180 deg swings the weight once up and down: AF feels nothing of it."""
+    noise = 1e-4 * rng.normal(size=2000)
+    roll = Channel("roll", np.linspace(0, np.pi, 2000) + noise, "rad", noise=1e-4)
+    still = dataclasses.replace(roll, values=noise)
+    expected = {None: 1 / np.sqrt(2), "SF": np.sqrt(1 / 2 - (2 / np.pi) ** 2)}  # rms of cos and of sin less its mean
+    if along in expected:
+        size = f"changes it by {expected[along] * STANDARD_GRAVITY:.2g} m/s"
+        with pytest.warns(DataQualityWarning, match=size):
+            motion = PlatformMotion.of(recording(roll), along=along)
+    else:
+        motion = PlatformMotion.of(recording(roll), along=along)
+    assert any("taken as constant, and the roll with it" in text for text in motion.assumptions)
+    PlatformMotion.of(recording(still), along=along)  # warns of nothing
 
 
 def test_accelerometer_without_an_axis_is_refused():

@@ -71,6 +71,10 @@ def schedule() -> Schedule:
             "components must be 6 different names",
         ),
         (lambda one: {"temperature": np.zeros(3)}, "temperature must have shape"),
+        (
+            lambda one: {"temperature": np.where(np.arange(len(one.points)) == 3, np.nan, 20.0)},
+            "temperature must be finite, which that of .* is not; leave out the points",
+        ),
         (lambda one: {"points": one.points[:-1]}, "points must be .* names, not"),
         (lambda one: {"series": one.series - 1}, "series must number series_names from 0"),
         (lambda one: {"capacities": -one.capacities}, "capacities must be positive"),

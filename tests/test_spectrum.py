@@ -8,7 +8,14 @@ from scipy.optimize import approx_fprime, minimize
 from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.estimation.spectra import _kernels
 from aerobalance.estimation.spectra.parametric_psd import _Averages, fit_roll_offs, refit_roll_off
-from aerobalance.estimation.spectra.periodogram import HANN_BANDWIDTH, Periodogram, Spectrum, _Ordinates, leaked
+from aerobalance.estimation.spectra.periodogram import (
+    HANN_BANDWIDTH,
+    Periodogram,
+    Spectrum,
+    _Ordinates,
+    density_of,
+    leaked,
+)
 from aerobalance.estimation.spectra.piecewise_psd import CHANGE_EVIDENCE, _cheapest
 from aerobalance.estimation.spectra.whittle import fit_spectrum, refit_spectrum
 from helpers.cable_cut import T128
@@ -248,6 +255,19 @@ def test_long_records_are_averaged(monkeypatch, rng):
     assert np.sum(periodogram.weight) == pytest.approx(20_000 / HANN_BANDWIDTH, rel=0.01)
     spectrum = fit_spectrum(periodogram).spectrum
     assert spectrum.edges[0] == pytest.approx(120.0, abs=2 * RATE / 2048)
+
+
+@pytest.mark.parametrize("count", [2048, 2049, 3071, 3072, 4095, 7000])
+def test_every_sample_of_a_long_record_is_looked_at(count, monkeypatch):
+    """Where two windows overlap by half or more, the sum of their squares is a half (sin^4 + cos^4) or more."""
+    length = 2048
+    monkeypatch.setattr("aerobalance.estimation.spectra.periodogram.LONGEST", length)
+    parts = 1 + int(np.ceil((count - length) / (length // 2)))
+    one = 1 / (parts * 3 / 8 * length)  # mean square of a Hann window 3/8
+    for place in np.linspace(length // 2, count - length // 2 - 1, 9).astype(int):
+        impulse = np.zeros(count)
+        impulse[place] = 1.0
+        assert density_of(impulse, 1.0).min() > 0.49 * one
 
 
 def test_path_of_least_cost_is_that_of_all_paths(rng):

@@ -22,7 +22,7 @@ from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.estimation.steps import Step
 from aerobalance.motion.single_axis import GroundMotion, load_from_ground
 from aerobalance.recording.errors import FitError
-from aerobalance.simulation import CableCut, Sensor
+from aerobalance.simulation import CableCut, Sensor, band_noise
 from helpers.butterworth import butterworth
 from helpers.cable_cut import T128
 
@@ -260,6 +260,38 @@ def test_ground_load_is_that_of_the_whole_record(delay, rng):
     assert load.size == n
     # the same sums in another order, kept for as long as the balance rings
     assert np.max(np.abs(load - expected)) < 2e-11 * np.max(np.abs(expected))
+
+
+def test_the_ground_before_the_first_sample_is_not_known(rng):
+    """Loads that are read 12 samples late tell of a motion that nothing has read: their force is that uncertain."""
+    late, count = 12, 4000
+    ground = band_noise(rng, low=5, high=60, rms=2.0, period=10.0)(np.arange(count + late) / RATE)
+    felt = load_from_ground(GroundMotion(ground), T128, rate=RATE) + rng.normal(0, NOISE, count + late)
+    channels = [LiveChannel("AF", noise=NOISE, delay=late / RATE), LiveChannel("ground_acceleration", noise=1e-3)]
+    live = LiveForce(T128, rate=RATE, channels=channels)
+    columns = {"AF": felt[:-late], "ground_acceleration": ground[late:] + rng.normal(0, 1e-3, count)}
+    parts = [
+        live.push({name: values[k : k + 100] for name, values in columns.items()})["AF"] for k in range(0, count, 100)
+    ]
+    force, uncertainty = (np.concatenate([getattr(part, what) for part in parts]) for what in ("force", "uncertainty"))
+    assert np.max(np.abs(force[:400] / uncertainty[:400])) < 6
+
+
+def test_a_declared_delay_of_the_pitch_is_taken_out_live(rng):
+    """20 ms at 1.3 Hz and 0.1 rad are 20 N rms of the weight."""
+    time, late = np.arange(8000) / RATE, 0.02
+
+    def pitch(at):
+        return 0.1 * np.sin(2 * np.pi * 1.3 * at)
+
+    # the gain of the balance differs from 1 by (1.3 / 66)^2 = 4e-4 at this frequency
+    load = T128.mass * 9.80665 * np.sin(pitch(time)) + rng.normal(0, NOISE, time.size)
+    live = LiveForce(T128, rate=RATE, channels=[LiveChannel("AF", noise=NOISE), LiveChannel("pitch", delay=late)])
+    columns = {"AF": load, "pitch": pitch(time - late)}
+    blocks = [{name: values[k : k + 100] for name, values in columns.items()} for k in range(0, time.size, 100)]
+    parts = [live.push(block)["AF"] for block in blocks]
+    force = np.concatenate([part.force for part in parts])
+    assert np.sqrt(np.mean(force[4000:] ** 2)) < NOISE
 
 
 def test_ground_motion_is_taken_out(rng):

@@ -21,6 +21,7 @@ from aerobalance.recording.channel import QUANTITIES, Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.sensors import filtered
 from aerobalance.uncertainty.budget import advice, component_budget, scalars, spectrum
 from aerobalance.uncertainty.monte_carlo import monte_carlo
 from aerobalance.uncertainty.parameter_draws import CLOSE, Change, parameter_errors
@@ -367,6 +368,22 @@ def test_a_record_with_a_gap_is_drawn_as_a_whole():
     estimate = estimate_force(given, T128).only
     reading = SingleRecord.of(given, T128, GroundMotion.of(given, "AF")).reading()
     assert NoiseDraws.of(LinearSmoother.of(reading, learned=estimate.learned, steps=())).ends is None
+
+
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")  # the gap is told
+def test_the_mean_of_a_force_is_as_uncertain_as_a_gap_makes_it():
+    """Draws of force and readings from the estimator's own model say by how much a gap makes the mean wrong."""
+    rng, samples, before = np.random.default_rng(5), 1600, 400
+    dynamics = Dynamics("AF", mass=177.87, stiffness=3.093e7, damping=828.21)
+    load = filtered(rng.normal(0, 60.0, samples + before), lambda f: 1 / (1 + (f / 100) ** 8), rate=1600.0)
+    felt = dynamics.balance_load(load, interval=1 / 1600)[before:] + rng.normal(0, 0.5, samples)
+    felt[800:900] = np.nan
+    force = estimate_force(record(AF=felt), dynamics)
+    drawn = monte_carlo(force, draws=60)["AF"]
+    mean = next(one for one in drawn.scalars if one.name == "mean")
+    # of 60 draws, a standard deviation is known to 9 %; the spectra of noise and force are not sharply apart
+    assert mean.ratio == pytest.approx(1.0, abs=0.4)
+    assert not [one for one in drawn.contributions if not one.agrees]
 
 
 def test_draws_of_parameters_by_a_polynomial_are_those_one_by_one():

@@ -209,6 +209,18 @@ def test_one_point_a_recording_with_roll():
     np.testing.assert_allclose(given.roll, [0, 0.5, 1], atol=1e-15)
 
 
+def test_roll_at_the_end_of_the_range_of_its_sensor_is_that_angle(rng):
+    """A reading of -180 to 180 deg jumps by a turn with the noise there, and its mean is nowhere."""
+    noise, count = 1e-4, 400
+    true = np.pi + rng.normal(0, noise, count)
+    roll = (true + np.pi) % (2 * np.pi) - np.pi
+    roll[5] = np.nan
+    assert np.ptp(roll[6:]) > 6
+    given = points_from_recordings([recording(np.zeros(count), np.ones(count), roll)], ("AF",))
+    # the mean of 400 readings within five standard deviations, whatever turn it is on
+    assert abs(np.angle(np.exp(1j * (given.roll[0] - np.pi)))) < 5 * noise / np.sqrt(count)
+
+
 def test_uncertainty_of_a_mean_holds_for_correlated_noise(rng):
     from scipy.signal import lfilter
 

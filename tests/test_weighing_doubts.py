@@ -68,6 +68,25 @@ def test_an_outlying_point_is_named(name, rng):
     assert without.doubts == ()
 
 
+def test_the_effect_of_a_point_is_that_on_the_mass_of_its_force(rng):
+    """Where a live end gives SF a mass of its own, a point of AF moves the mass of AF."""
+    values = loads(rng)
+    values[:, 1] += 0.05 * (values[:, 1] + 2.0)
+    values[6, 0] += 6.0  # at the end of the sweep, where it moves the mass most
+    found = weighed(values)
+    assert found.model.own_masses
+    (doubt,) = found.doubts
+    assert (doubt.kind, doubt.component) == ("outlying point", "AF")
+    others = np.arange(values.shape[0]) != 6
+    without = weighed(values[others], others)
+    moved = found.masses["AF"].mass - without.masses["AF"].mass
+    # masses of all forces are fitted together, with the weights of the deviations that they leave
+    assert doubt.effect == pytest.approx(abs(moved), rel=0.02)
+    assert "it moves the mass of AF by +" in doubt.text
+    assert doubt.effect > 0.5 * found.masses["AF"].u
+    assert found.verdict is Verdict.DOUBTFUL
+
+
 def test_hysteresis_is_named(rng):
     values = loads(rng)
     # each sweep begins where the last has come down to, and the turn at the top is reached from below

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from aerobalance.acquisition.continuity import Event
-from aerobalance.acquisition.guards import ContactCircuit, EnvelopeLimit, capacity_stations
+from aerobalance.acquisition.guards import ContactCircuit, EnvelopeLimit, Limit, capacity_stations
 from aerobalance.acquisition.intake import End, Intake, RecordBlock, RecordPlan
 from aerobalance.acquisition.planned import plan_of, ranges_of
 from aerobalance.acquisition.setup import parse_setup, setup_from, stored_channels
@@ -87,6 +87,25 @@ def test_contacts_are_noted_at_the_same_samples(cut, closed, action) -> None:
     if action == "mark":
         assert [tick for tick, kind in events(out) if kind == "contact"] == begins
         assert [tick for tick, kind in events(out) if kind == "contact over"] == ends
+
+
+@settings(deadline=None, max_examples=50)
+@given(cuts, st.lists(st.booleans(), min_size=40, max_size=40), st.integers(1, 399))
+def test_nothing_is_noted_from_beyond_the_end_of_the_record(cut, closed, length) -> None:
+    channels = (StoredChannel(name="AF", unit="N"), StoredChannel(name="fouling", unit="V"))
+    circuit = ContactCircuit(1, "fouling", "V", 2.5, True, 7)
+    limit = Limit(0, -np.inf, 299.5, "mark", "AF", "N")
+    samples = np.column_stack((np.arange(400.0), np.repeat(closed, 10) * 5.0))
+    plan = RecordPlan(channels, 100.0, 32, limits=(limit,), circuit=circuit, length=length)
+    out = run(plan, samples, cut)
+    begins = [10 * k for k in range(40) if closed[k] and (k == 0 or not closed[k - 1])]
+    ends = [10 * k for k in range(1, 40) if closed[k - 1] and not closed[k]]
+    found = events(out)
+    assert recorded(out) == length
+    assert [tick for tick, kind in found if kind == "limit"] == [300] * (length > 300)
+    assert [tick for tick, kind in found if kind == "contact"] == [tick for tick in begins if tick < length]
+    # the seventh open sample ends a contact
+    assert [tick for tick, kind in found if kind == "contact over"] == [tick for tick in ends if tick + 6 < length]
 
 
 def test_loads_of_gauge_outputs_are_watched(rng, seed) -> None:

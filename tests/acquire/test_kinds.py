@@ -90,7 +90,7 @@ def test_place_and_axis_may_be_typed_into_one_field() -> None:
 
 
 def test_place_axis_and_skew_are_in_the_recording(tmp_path) -> None:
-    given = (SourceChannel("rN1", "mV/V"), SourceChannel("ground_acceleration_tip", "m/s^2", -1.3e-6))
+    given = (SourceChannel("rN1", "mV/V"), SourceChannel("ground_acceleration_tip", "m/s^2", delay=-1.3e-6))
     channels = stored_channels(parse_setup(NI), given)
     BlockWriter(tmp_path / "run.h5", channels, rate=1.0, rows=4, provenance=Provenance("test")).finish("done")
     tip = contents(tmp_path / "run.h5").channels[1]

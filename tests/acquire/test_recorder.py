@@ -117,6 +117,16 @@ def test_pre_trigger_puts_time_zero_at_the_trigger(tmp_path) -> None:
     assert take.progress.events == 2
 
 
+def test_note_that_comes_after_the_last_sample_leaves_the_record_as_it_is(tmp_path) -> None:
+    take = RecordWriter(job(tmp_path / "run.h5", length=100))
+    take.feed(Block(0, truth(0, 200), 0.0))
+    ended, content = take.progress, (tmp_path / "run.h5").read_bytes()
+    assert ended.state == "ended"
+    take.note("note", "pressed in the last instant")
+    assert take.progress == ended
+    assert (tmp_path / "run.h5").read_bytes() == content
+
+
 def test_disk_is_watched_and_what_fits_is_kept(tmp_path, monkeypatch) -> None:
     take = RecordWriter(job(tmp_path / "run.h5"))
     take.feed(Block(0, truth(0, 128), 0.0))
@@ -301,6 +311,27 @@ def test_largest_size_of_a_file_ends_the_record_cleanly(tmp_path) -> None:
     assert len(stored(file)) == recorder.progress.samples
     assert contents(file).reason == recorder.progress.reason
     assert read(file).samples == recorder.progress.samples
+    # no second name is left, which would keep the space in use when the file is deleted
+    assert [path.name for path in tmp_path.iterdir()] == ["run.h5"]
+
+
+def test_note_that_finds_no_room_ends_the_record_as_a_block_does(tmp_path) -> None:
+    file = tmp_path / "run.h5"
+    with Session(setup_of(more='trigger = "call"\n'), tmp_path) as session:
+        recorder = session.record(file)
+        recorder.ready()
+        size = file.stat().st_size
+        resource.prlimit(recorder.process.pid, resource.RLIMIT_FSIZE, (size, size))
+        for _ in range(40):  # the table of events grows by 16 rows
+            recorder.tell(RecorderCommand("note", "heard"))
+        while not recorder.poll(0.2).over:
+            pass
+        recorder.process.join(5.0)
+        assert recorder.process.exitcode == 0
+    assert recorder.progress.full
+    assert recorder.progress.reason.startswith("disk full: the disk, its quota or the largest size")
+    assert contents(file).reason == recorder.progress.reason
+    assert [path.name for path in tmp_path.iterdir()] == ["run.h5"]
 
 
 def test_full_file_system_ends_the_record_cleanly(tmp_path) -> None:

@@ -7,10 +7,13 @@ import numpy as np
 import pytest
 
 from aerobalance.acquisition.replay import AGAIN, ReplaySource
-from aerobalance.acquisition.source import SourceEndedError
+from aerobalance.acquisition.setup import setup_from, stored_channels
+from aerobalance.acquisition.source import SourceChannel, SourceEndedError
+from aerobalance.acquisition.sources import open_source
 from aerobalance.io import read
 from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
-from aerobalance.recording.errors import DataQualityWarning, ReadError
+from aerobalance.recording.channel import AntiAlias, CrossAxis
+from aerobalance.recording.errors import DataQualityWarning, FitError, ReadError
 
 CHANNELS = (
     StoredChannel("AF", "lbf", sign=-1.0, scale=2.0, offset=0.5),
@@ -61,6 +64,65 @@ def test_a_record_is_played_as_it_would_be_read_with_its_gaps_and_units(tmp_path
         due = block.end
     assert due == len(expected)
     assert np.array_equal(found, expected, equal_nan=True)
+
+
+@pytest.mark.parametrize("kind", ["h5", "csv"])
+def test_what_a_recording_says_of_its_sensors_is_known_of_its_replay(tmp_path, kind) -> None:
+    """In the units inside: 0.01 lbf are 0.0444822 N by the definition of the pound, 1 g is 9.80665 m/s^2."""
+    if kind == "h5":
+        channels = (
+            StoredChannel("AF", "lbf", delay=0.013, noise=0.01, filter=AntiAlias("bessel", 4, 200.0)),
+            StoredChannel(
+                "ground_acceleration",
+                "g",
+                delay=-0.002,
+                coupling="ac",
+                corner=1.5,
+                place=(0.5, 0.0, 0.1),
+                cross_axis=(CrossAxis("ground_acceleration_up", 0.02, 0.001),),
+            ),
+            StoredChannel("ground_acceleration_up", "g", zero_uncertainty=0.1),
+        )
+        written(tmp_path / "run.h5", [(0, np.zeros((10, 3)))], channels=channels)
+        setup = setup_from({"source": {"kind": "replay", "file": "run.h5"}})
+    else:
+        (tmp_path / "run.csv").write_text("time [s],load [lbf],a [g]\n0.0,0,0\n0.1,0,0\n0.2,0,0\n")
+        (tmp_path / "map.toml").write_text(
+            '[channels.AF]\ncolumn = "load"\ndelay = 0.013\nnoise = 0.01\n'
+            '[channels.ground_acceleration]\ncolumn = "a"\ndelay = -0.002\ncoupling = "ac"\ncorner = 1.5\n'
+        )
+        setup = setup_from({"source": {"kind": "replay", "file": "run.csv", "map": "map.toml"}})
+    load, motion, *_ = stored = stored_channels(setup, open_source(setup, tmp_path).channels)
+    assert (load.delay, load.unit) == (0.013, "N")
+    assert load.noise == pytest.approx(0.01 * 4.4482216152605, rel=1e-12)
+    assert (motion.delay, motion.coupling, motion.corner) == (-0.002, "ac", 1.5)
+    if kind == "h5":
+        assert load.filter == AntiAlias("bessel", 4, 200.0)
+        assert (motion.place, motion.cross_axis) == (channels[1].place, channels[1].cross_axis)
+        assert stored[2].zero_uncertainty == pytest.approx(0.980665, rel=1e-12)
+
+
+def test_a_set_up_says_more_of_a_sensor_than_the_recording() -> None:
+    given = [
+        SourceChannel("AF", "N", delay=0.01, noise=0.3),
+        SourceChannel("a", "m/s^2", coupling="ac", corner=2.0, cross_axis=(CrossAxis("b", 0.01),)),
+        SourceChannel("b", "m/s^2", coupling="ac", corner=2.0),
+    ]
+    table = {
+        "AF": {"delay": 0.002, "scale": 2.0},
+        "ground_acceleration": {"input": "a", "coupling": "dc"},
+        "live_acceleration": {"input": "b", "noise": 0.1},
+    }
+    load, ground, live = stored_channels(setup_from({"channels": table}), given)
+    # delays add up, and a noise grows with the scale
+    assert (load.delay, load.noise) == (pytest.approx(0.012), 0.6)
+    assert (ground.coupling, ground.corner, ground.cross_axis) == ("dc", 0.0, (CrossAxis("live_acceleration", 0.01),))
+    assert (live.coupling, live.corner, live.noise) == ("ac", 2.0, 0.1)
+    table["ground_acceleration"]["sign"] = -1
+    with pytest.raises(FitError, match="channel ground_acceleration: the source knows the axis"):
+        stored_channels(setup_from({"channels": table}), given)
+    with pytest.raises(FitError, match=r"channel tap 3: what the source knows .* coupling is for accelerations"):
+        stored_channels(setup_from({"channels": {"tap 3": {"input": "a"}}}), given[1:2])
 
 
 def test_a_damaged_block_is_a_gap_that_says_why(tmp_path) -> None:

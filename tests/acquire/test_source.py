@@ -1,12 +1,17 @@
 """Blocks: packed and unpacked, and put in their places where the count of a device began anew."""
 
+import threading
+import time
 from multiprocessing import Pipe
+from types import SimpleNamespace
 
 import numpy as np
+import pytest
 
+from aerobalance.acquisition import feed
 from aerobalance.acquisition.continuity import Continuity
-from aerobalance.acquisition.feed import _Outlet
-from aerobalance.acquisition.source import Block
+from aerobalance.acquisition.feed import Address, Feed, _Outlet, _SourceServer
+from aerobalance.acquisition.source import Block, SourceChannel
 
 
 def block_at(tick, received, *, rows=10, remark="", anew=False):
@@ -59,3 +64,49 @@ def test_a_receiver_that_missed_the_new_count_is_told_later(monkeypatch) -> None
     assert (told.tick, told.anew) == (20, True)
     assert "2 block(s) lost" in told.remark
     assert (after.tick, after.anew) == (30, False)
+
+
+@pytest.fixture
+def server(tmp_path):
+    channels = (SourceChannel("AF", "N"), SourceChannel("NF", "N"))
+    source = SimpleNamespace(channels=channels, rate=100.0, clocked=True, patient=True, description="", controls=())
+    made = _SourceServer(source, Address(str(tmp_path / "socket"), b"key"))
+    yield made
+    made.finish("over", hurry=True)
+
+
+def test_a_block_larger_than_what_is_kept_of_the_last_seconds_is_given(server, tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(feed, "RECENT_BYTES", 100)
+    with_recent = Feed(Address(str(tmp_path / "socket"), b"key"), viewer=False, recent=True)
+    while not server.outlets:
+        time.sleep(0.001)
+    for tick in (0, 10):
+        server.give(block_at(tick, 1.0), print)
+        assert with_recent.take().tick == tick
+    with_recent.close()
+
+
+def test_a_receiver_that_comes_while_another_goes_is_not_forgotten(server) -> None:
+    """It comes at the very moment at which the receivers without the one that is gone are listed."""
+    given: list[int] = []
+    new = SimpleNamespace(
+        give=lambda block, *, patient: given.append(block.tick), sender=SimpleNamespace(broken=False)
+    )
+    arrival = threading.Thread(target=server._add, args=(new,), kwargs={"recent": False})
+
+    class Listed(list):
+        def __iter__(self):
+            if arrival.ident is None:
+                arrival.start()
+                arrival.join(0.2)
+            return super().__iter__()
+
+    def give(block, *, patient):
+        server.outlets = Listed(server.outlets)
+
+    server.outlets = [SimpleNamespace(viewer=True, give=give, sender=SimpleNamespace(broken=True))]
+    server.give(block_at(0, 1.0), lambda _: None)
+    arrival.join()
+    server.give(block_at(10, 1.1), lambda _: None)
+    server.outlets = []
+    assert given == [10]

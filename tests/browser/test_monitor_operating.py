@@ -101,6 +101,24 @@ def test_alarms_are_kept_until_they_are_acknowledged(operator) -> None:
     assert operator.said == []
 
 
+def test_a_load_near_the_only_limit_is_shown_as_such(operator) -> None:
+    view = operator.view
+    given = {"source": {"kind": "simulated", "rig": "cable_cut", "noise": 0.0}, "limits": {"AF": {"low": -1100.0}}}
+    view.evaluate(
+        """(setup) => fetch("/api/setup", { method: "POST", headers: { "content-type": "application/json" },
+          body: JSON.stringify({ setup }) })""",
+        given,
+    )
+    # the cable pulls by 1020 N, which is 51 % of half of the range, 2000 N
+    operator.until("document.getElementById('alarm-state').textContent === '▲ AF at 93 % of its limit'")
+    words = "92.7 % of its limit, 51.0 % of half range"
+    operator.until(f"document.getElementById('numbers').innerText.includes('{words}')")
+    meter = view.get_by_role("meter", name="Balance load of AF over its limit")
+    assert meter.is_visible() and meter.get_attribute("aria-valuenow") == "93"
+    operator.rig("cable_cut")
+    assert operator.said == []
+
+
 @pytest.mark.parametrize("size", [(1440, 900), (390, 844), (820, 1000)])
 @pytest.mark.soak(first=2)
 def test_stop_record_and_alarm_are_always_in_sight(opened, size) -> None:

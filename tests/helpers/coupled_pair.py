@@ -47,8 +47,9 @@ def band(generator: np.random.Generator, edge: float, *, count: int, rate: float
     return np.asarray(series / series.std(axis=0))
 
 
-def recording_of(loads: Array, **more: Array) -> Recording:
-    channels = {name: Channel(name, column, si_unit(name)) for name, column in zip(("NF", "PM"), loads.T, strict=True)}
+def recording_of(loads: Array, *, delay: float | tuple[float, float] = 0.0, **more: Array) -> Recording:
+    late = zip(("NF", "PM"), loads.T, np.broadcast_to(delay, 2).tolist(), strict=True)
+    channels = {name: Channel(name, column, si_unit(name), delay=by) for name, column, by in late}
     channels |= {name: Channel(name, values, "rad") for name, values in more.items()}
     return Recording.from_columns(np.arange(len(loads)) / RATE, channels, name="run")
 

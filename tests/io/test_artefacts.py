@@ -70,12 +70,30 @@ def test_dynamics_have_the_structure_that_was_promised(tmp_path):
     other = contents["components"]["PM"]
     assert "delay" not in other
     assert "fit" not in other
+    # the load of a moment is M w, and M has the lever of the moment: M w^2 is in kg m / s^2
     assert other["mass"] == {"value": 2.0, "u": 0.0, "unit": "kg*m"}
+    assert other["stiffness"] == {"value": 3e5, "u": 0.0, "unit": "N"}
+    assert other["damping"] == {"value": 4.0, "u": 0.0, "unit": "N*s"}
     provenance = contents["provenance"]
     assert provenance["program"].startswith("aerobalance ")
     assert provenance["inputs"] == [{"name": "run.csv", "sha256": SHA256}]
     assert provenance["settings"] == {"component": "AF", "mass": None, "file": "run.csv"}
     assert provenance["created"].endswith("+00:00")
+
+
+def test_moments_of_earlier_files_are_read_with_the_units_of_forces(tmp_path):
+    path, _ = written(tmp_path)
+    expected = read_dynamics(path)["PM"]
+    contents = json.loads(path.read_text())
+    moment = contents["components"]["PM"]
+    moment["stiffness"]["unit"], moment["damping"]["unit"] = "N/m", "N*s/m"
+    path.write_text(json.dumps(contents))
+    found = read_dynamics(path)["PM"]
+    assert [getattr(found, name) for name in PARAMETERS] == [getattr(expected, name) for name in PARAMETERS]
+    moment["stiffness"]["unit"] = "N*m"
+    path.write_text(json.dumps(contents))
+    with pytest.raises(ReadError, match=r"components\.PM\.stiffness\.unit.*allowed: 'N'"):
+        read_dynamics(path)
 
 
 def modal():

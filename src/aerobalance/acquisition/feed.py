@@ -257,7 +257,9 @@ class _SourceServer:
     def _keep(self, block: Block) -> None:
         self._recent.append(block)
         self._recent_bytes += block.samples.nbytes
-        while self._recent_bytes > RECENT_BYTES or block.received > self._recent[0].received + RECENT:
+        while self._recent and (
+            self._recent_bytes > RECENT_BYTES or block.received > self._recent[0].received + RECENT
+        ):
             self._recent_bytes -= self._recent.popleft().samples.nbytes
 
     def give(self, block: Block, say: Callable[[SourceMessage], None]) -> None:
@@ -268,7 +270,8 @@ class _SourceServer:
         for outlet in outlets:
             outlet.give(block, patient=self.source.patient)
             if outlet.sender.broken:
-                self.outlets = [other for other in self.outlets if other is not outlet]
+                with self._changing:  # somebody else may be coming in
+                    self.outlets = [other for other in self.outlets if other is not outlet]
                 say(SourceMessage("lost", "a viewer" if outlet.viewer else "a recorder"))
 
     def finish(self, reason: str, *, hurry: bool) -> None:

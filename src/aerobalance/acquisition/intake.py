@@ -305,8 +305,7 @@ class Intake:
                 made += self._lost(item)
             elif isinstance(item, Block):
                 own = values[values.shape[0] - item.samples.shape[0] :]
-                made += [*self._limits(item, own), *self._contacts(item, own)]
-                made += self._add(item)
+                made += [*self._noted(item, own), *self._add(item)]
             else:
                 made.append(item)
             if self.ended:
@@ -322,8 +321,14 @@ class Intake:
             gap = gap._replace(samples=min(gap.samples, self._stop[0] - gap.tick))
         return [*made, gap]
 
-    def _limits(self, block: Block, values: Array) -> list[Output]:
-        made: list[Output] = []
+    def _noted(self, block: Block, values: Array) -> list[Event]:
+        """What is found in a block, but for what its samples from beyond the end of the record tell."""
+        found = [*self._limits(block, values), *self._contacts(block, values)]
+        return [event for seen, event in found if self._stop is None or seen < self._stop[0]]
+
+    def _limits(self, block: Block, values: Array) -> list[tuple[int, Event]]:
+        """Samples outside of limits: the tick that tells so, and the event."""
+        made: list[tuple[int, Event]] = []
         started = block.tick if self.started is None else self.started
         for number, limit in enumerate(self.plan.limits):
             outside, known = limit.outside(values)
@@ -338,22 +343,25 @@ class Intake:
                     self._quiet[number] = tick + max(1, round(self.plan.rate))
                     text = limit.text(values[place])
                     self._stop_after(tick, f"limit: {text}", limit.action)
-                    made.append(Event(tick, "limit", text))
+                    made.append((tick, Event(tick, "limit", text)))
         return made
 
-    def _contacts(self, block: Block, values: Array) -> list[Output]:
+    def _contacts(self, block: Block, values: Array) -> list[tuple[int, Event]]:
+        """Contacts that begin or are over: the tick that tells so, and the event."""
         circuit, finder = self.plan.circuit, self._contact
         if circuit is None or finder is None:
             return []
         read, first = values[:, circuit.column], block.tick
         if self.started is not None and self.started > first:
             read, first = read[self.started - first :], self.started
-        made: list[Output] = []
+        made: list[tuple[int, Event]] = []
         for contact in finder.push(first, read):
-            text = contact_text(contact, circuit, self.plan.rate)
+            text, seen = contact_text(contact, circuit, self.plan.rate), contact.tick
             if contact.closed:
                 self._stop_after(contact.tick, f"contact: {text}", circuit.action)
-            made.append(Event(contact.tick, "contact" if contact.closed else "contact over", text))
+            else:
+                seen += max(1, circuit.hold) - 1  # only then has the circuit stayed open for long enough
+            made.append((seen, Event(contact.tick, "contact" if contact.closed else "contact over", text)))
         return made
 
     def _stop_after(self, tick: int, reason: str, action: Action) -> None:

@@ -80,7 +80,7 @@ class NidaqmxSource(Device):
         self._buffer = np.empty((len(inputs), self._rows))
         self._reader = self._reader_of_task()
         self.channels = tuple(
-            SourceChannel(name, UNITS[inputs[name].measures], delay)
+            SourceChannel(name, UNITS[inputs[name].measures], delay=delay)
             for name, delay in zip(inputs, skews([given.physical for given in inputs.values()], skew), strict=True)
         )
         devices = dict.fromkeys(given.physical.partition("/")[0] for given in inputs.values())

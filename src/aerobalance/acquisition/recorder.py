@@ -164,8 +164,10 @@ class RecordWriter:
         return self._write(self.intake.flush())
 
     def note(self, kind: str, text: str, *, at: float | None = None) -> None:
-        """Write down an event at the present tick, or at that of a time on the steady clock [s]."""
-        self._event(Event(self.intake.continuity.tick_at(at), kind, text))
+        """Write down an event at the present tick, or at that of a time on the steady clock [s]; not after the end."""
+        if self.progress.over:
+            return
+        self._write([Event(self.intake.continuity.tick_at(at), kind, text)])
 
     def end(self, reason: str) -> None:
         """Write the rest and close the file."""
@@ -196,8 +198,7 @@ class RecordWriter:
             text += f"; the record is in {mishap.path.name}, with all samples"
         before = self.progress.mishap
         self._set(path=str(mishap.path), mishap=f"{before}; {text}" if before else text)
-        with contextlib.suppress(DiskFullError):
-            self.note("file", text)
+        self.note("file", text)
         return True
 
     def _lost(self, mishap: FileFault) -> None:
@@ -285,6 +286,8 @@ class RecordWriter:
         with contextlib.suppress(OSError):
             self.writer.abandon(reason)
         self._set(state="ended", reason=reason, full=True, free=self._free())
+        if not self._gone:  # else what the file holds is still to be copied
+            self.held.release()
 
     def _free(self) -> int:
         try:

@@ -42,7 +42,8 @@ class _Recorded(NamedTuple):
 class ReplaySource(Uncontrolled):
     """A file that can be read, at any speed.
 
-    Units are those used inside (SI; mV/V for gauge outputs). Ticks are the samples of the recording's steady clock.
+    Units are those used inside (SI; mV/V for gauge outputs), and what the recording says of its sensors, their delays
+    among it, is what the source knows of them. Ticks are the samples of the recording's steady clock.
     What the recorder has written is read block by block, however large it is. Other formats, and columns that a map
     names, are read whole before the first sample: only all their time stamps together tell the clock.
 
@@ -144,7 +145,7 @@ def _whole(path: Path, channel_map: Path | None) -> _Recorded:
                 part = slice(first, min(first + 8192, int(rows[end - 1]) + 1))
                 yield _Part(first, np.column_stack([channel.values[part] for channel in recording]))
 
-    channels = tuple(SourceChannel(channel.name, channel.unit) for channel in recording)
+    channels = tuple(SourceChannel(channel.name, channel.unit, **channel.known()) for channel in recording)
     return _Recorded(recording.name, recording.rate, channels, parts)
 
 
@@ -176,6 +177,7 @@ def _ticked(path: Path) -> _Recorded | None:
             remark = ""
 
     channels = tuple(
-        SourceChannel(channel.name, change.unit) for channel, change in zip(found.channels, changes, strict=True)
+        SourceChannel(channel.name, change.unit, **channel.known(factor=change.factor))
+        for channel, change in zip(found.channels, changes, strict=True)
     )
     return _Recorded(path.stem, found.rate, channels, parts)

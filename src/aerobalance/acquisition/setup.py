@@ -38,6 +38,7 @@ What the balance may bear in all, and how it is checked, is in tables of `aeroba
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
@@ -61,9 +62,12 @@ from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.messages import first_fault
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.toml_file import read_toml, toml_in
+from aerobalance.recording.channel import SensorSpec
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError, ReadError
 from aerobalance.recording.units import conversion_for
+
+_MOUNTING: Final = frozenset({"coupling", "corner", "place", "place_uncertainty", "axis"})
 
 LATEST: Final = 1.0
 """Longest delay of a channel [s]; the live force waits for it."""
@@ -268,12 +272,16 @@ def _kind(setup: Setup) -> dict[str, Any]:
 def stored_channels(setup: Setup, given: Sequence[SourceChannel]) -> tuple[StoredChannel, ...]:
     """Describe the columns of a recording: the channels of the source, in order, as the set-up has them.
 
+    What the set-up says of a sensor takes the place of what the source knows of it, except that delays add up.
+
     Raises
     ------
     FitError
-        A unit is of the wrong kind for its channel.
+        A unit is of the wrong kind for its channel; a name, sign or scale does not suit what the source knows of the
+        sensor.
     """
     named = setup.channels or {channel.name: SetChannel() for channel in given}
+    renamed = {source.name: name for name, source in zip(named, given, strict=True)}
     found = []
     for (name, channel), source in zip(named.items(), given, strict=True):
         unit = channel.unit or source.unit
@@ -281,7 +289,27 @@ def stored_channels(setup: Setup, given: Sequence[SourceChannel]) -> tuple[Store
             conversion_for(name, unit)
         except ValueError as error:
             raise FitError(f"channel {name}: the source gives it in [{unit}]: {error}; set its unit") from None
-        kept = {key: getattr(channel, key) for key in ChannelSettings.model_fields if key not in ("unit", "delay")}
-        delay = channel.delay + source.delay
-        found.append(StoredChannel(name=name, unit=unit, input=source.name, delay=delay, **kept))
+        kept = {key: getattr(channel, key) for key in ("sign", "scale", "offset")}
+        sensor = _sensor(name, channel, source, renamed)
+        found.append(StoredChannel(name=name, unit=unit, input=source.name, **kept, **sensor))
     return tuple(found)
+
+
+def _sensor(name: str, channel: SetChannel, source: SourceChannel, renamed: Mapping[str, str]) -> dict[str, Any]:
+    """What is known of a sensor in the channel's unit; the channels of the source are `renamed`."""
+    known = source.known(factor=abs(channel.scale))
+    across = tuple(replace(part, channel=renamed.get(part.channel, part.channel)) for part in source.cross_axis)
+    own = channel.model_fields_set & known.keys()
+    own |= {key for key, other in (("corner", "coupling"), ("place_uncertainty", "place")) if other in own}
+    made = known | {"cross_axis": across} | {key: getattr(channel, key) for key in own}
+    fault = channel.model_copy(update={key: made[key] for key in _MOUNTING}).fault(name)
+    if fault is not None and SensorSpec(**{key: known[key] for key in _MOUNTING}) != SensorSpec():
+        raise FitError(f"channel {name}: what the source knows of its sensor does not suit this name: {fault[1]}")
+    if (channel.sign == -1 and ("axis" not in own and made["axis"])) or (
+        (channel.sign, channel.scale) != (1, 1.0) and across
+    ):
+        raise FitError(
+            f"channel {name}: the source knows the axis of its sensor, or what it reads across that, which sign and "
+            "scale would change; leave these out, or convert the recording first"
+        )
+    return made | {"delay": channel.delay + source.delay}

@@ -11,15 +11,15 @@ from typing import Final, Protocol
 
 import numpy as np
 
-from aerobalance.recording.channel import Array
+from aerobalance.recording.channel import Array, SensorSpec
 from aerobalance.recording.errors import FitError
 
 _HEAD: Final = struct.Struct("<qdqqI?")
 
 
 @dataclass(frozen=True, slots=True)
-class SourceChannel:
-    """One channel as its source has it.
+class SourceChannel(SensorSpec):
+    """One channel as its source has it, and what the source knows of its sensor.
 
     Attributes
     ----------
@@ -27,13 +27,10 @@ class SourceChannel:
         Name at the source.
     unit
         Unit of the readings.
-    delay
-        Time by which the source knows the readings to lag its clock [s].
     """
 
     name: str
     unit: str
-    delay: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

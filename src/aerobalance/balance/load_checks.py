@@ -143,6 +143,9 @@ def doubts_of_zero(zero: GaugeZero, components: Sequence[str], slope: Array) -> 
     if zero.moved.any():
         text = "moves while it is read, more than bridges drift, by {}: it is no zero, or the wind was on"
         known.append((np.abs(slope) @ zero.moved, text, "give a record of the balance at rest"))
+    if zero.differ.any():
+        text = "are zeros that differ by more than bridges drift; their mean is taken, which may be off by {}"
+        known.append((np.abs(slope) @ zero.differ, text, "give the zero that belongs to the run"))
     if zero.drifted:
         text = (
             "and the zero after the run differ by more than bridges drift; it is taken as a steady change, and a jump "

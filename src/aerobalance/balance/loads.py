@@ -14,12 +14,13 @@ from typing import Final
 
 import numpy as np
 
+from aerobalance.balance.bridge_temperature import at_reference_temperature
 from aerobalance.balance.load_checks import check_iteration, check_range, check_rows, doubts_of_zero
 from aerobalance.balance.load_formats import FORM_MOMENTS, FORMS, Form, between_forms
 from aerobalance.balance.load_variance import load_variances
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.matrix_errors import MatrixErrors
-from aerobalance.balance.zeros import REPEATS, SAY_HOW_READ, GaugeZero, gauge_table
+from aerobalance.balance.zeros import REPEATS, SAY_HOW_READ, GaugeZero, delay_of_outputs, gauge_table
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, is_gauge
 from aerobalance.recording.doubts import Doubt
@@ -31,9 +32,6 @@ from aerobalance.recording.resampling import interpolate_gaps_linearly
 
 SPREAD: Final = 1 << 16
 """Samples, spread over a record, from which its median load is found."""
-
-SHARED_PITCH: Final = np.radians(0.2)
-"""Difference of the mean pitch up to which a wind-off recording is at the same attitude [rad]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,8 +49,8 @@ class Loads:
     noise_covariance
         Covariance of one reading from the noise of the gauges, shape (c, c) [N^2, N^2*m, N^2*m^2].
     apart
-        Variance of every sample from zeros, tares and gains of the bridges [N^2, N^2*m^2], shape (n, c) or, the same
-        for all, (1, c).
+        Variance of every sample from zeros, tares, gains of the bridges and what temperature does to them
+        [N^2, N^2*m^2], shape (n, c) or, the same for all, (1, c).
     native
         Loads in the balance's own components, tares not removed, shape (n, c) [N, N*m].
     beyond
@@ -101,7 +99,7 @@ class Loads:
 
     @property
     def calibration(self) -> Array:
-        """Standard uncertainty from the matrix, zeros, gains and tares, shape (n, c) [N, N*m]; worked out anew."""
+        """Standard uncertainty from the matrix and all that `apart` has, shape (n, c) [N, N*m]; worked out anew."""
         return np.asarray(np.sqrt(np.maximum(_from_matrix(self, self.native) + self.apart, 0.0)))
 
     @property
@@ -235,7 +233,7 @@ def loads_of_outputs(
     Raises
     ------
     FitError
-        A bridge was not recorded, or no sample has a load.
+        A bridge was not recorded, or no sample of a whole record has a load: those of a part of one may lie in a gap.
     ValueError
         The zero does not say whether the model hung on the balance while it was read.
 
@@ -246,17 +244,19 @@ def loads_of_outputs(
         not those of this run.
     """
     table, channels = gauge_table(recording, balance)
+    since_calibration = zero is None and balance.natural_zero is not None
     zero = _calibration_zero(recording, balance) if zero is None else zero
     if zero.model_on is None:
         raise ValueError(f"{zero.source}: {SAY_HOW_READ}")
     progress = np.linspace(recording.extent.begin, recording.extent.end, table.shape[0])[:, None]
-    outputs = table - zero.values - zero.drift * progress
-    outputs = _at_reference_temperature(outputs, recording, balance)
+    outputs, of_temperature = at_reference_temperature(
+        table - zero.values - zero.drift * progress, recording, balance, since_calibration=since_calibration
+    )
     solution = balance.loads(outputs)
     known = np.isfinite(solution.loads).all(axis=1)
     whole = bool(known.all())
     lost = 0 if whole else int(np.count_nonzero(np.isfinite(outputs).all(axis=1) & ~known))
-    if not known.any():
+    if not known.any() and recording.extent.is_whole:
         raise FitError(
             f"{recording.name}: no sample gives loads; {lost} of {table.shape[0]} have no solution, the rest lack a "
             "gauge output. Check units, zeros and the order of the bridges"
@@ -269,6 +269,8 @@ def loads_of_outputs(
     native = solution.loads
     found = native if whole else native[known]
     beyond = check_range(recording, balance, found)
+    if not len(found):
+        found = np.zeros((1, native.shape[1]))  # what there is to say of a part without loads is that of no load
     contraction = check_iteration(recording, balance, found)
     noise = np.array([_noise(channel) for channel in channels])
     check_rows(recording, balance, channels, noise)
@@ -278,15 +280,19 @@ def loads_of_outputs(
     scatter = np.sqrt(np.maximum(np.diag(slope @ np.diag(noise**2) @ slope.T), 0.0))
     values = native @ T.T if zero.operating_point is None else (native - zero.operating_point) @ T.T
     apart = _apart(native, zero, channels, slope=slope, transform=T)
+    if of_temperature is not None:
+        apart = apart + of_temperature @ (slope**2).T
     if tare is not None:
         values = values - tare[0]
         apart = apart + tare[1] ** 2
-    filled = np.column_stack([interpolate_gaps_linearly(column) for column in values.T])
+    correlation = np.eye(len(scatter))
+    if known.any():
+        correlation = noise_correlation(np.column_stack([interpolate_gaps_linearly(one) for one in values.T]))
     loads = Loads(
         components=components,
         units=tuple("N*m" if moment else "N" for moment in moments),
         values=values,
-        noise_covariance=np.outer(scatter, scatter) * noise_correlation(filled),
+        noise_covariance=np.outer(scatter, scatter) * correlation,
         apart=apart,
         native=native,
         beyond=beyond,
@@ -315,9 +321,12 @@ def _calibration_zero(recording: Recording, balance: BalanceMatrix) -> GaugeZero
     """Zeros of the calibration, for want of those of the run; or none."""
     c = len(balance.components)
     if balance.natural_zero is not None:
+        known = (
+            ", but for what temperature does to them," if balance.temperature and "temperature" in recording else ""
+        )
         warn_quality(
             f"{recording.name}: no zero was given; the natural zeros of the calibration are taken. What the bridges' "
-            "zeros have moved since goes into the loads in full"
+            f"zeros have moved since{known} goes into the loads in full"
         )
         return GaugeZero(
             balance.natural_zero, np.zeros(c), "natural zeros of the calibration", np.zeros(c), model_on=False
@@ -327,20 +336,6 @@ def _calibration_zero(recording: Recording, balance: BalanceMatrix) -> GaugeZero
         "Whatever they read without load goes into the loads in full; give a recording of the unloaded balance as zero"
     )
     return GaugeZero.taken_off(balance)
-
-
-def _at_reference_temperature(outputs: Array, recording: Recording, balance: BalanceMatrix) -> Array:
-    """Take out what temperature does to zeros and sensitivities, where both it and its effects are known."""
-    if not balance.temperature or "temperature" not in recording:
-        return outputs
-    temperature = recording.channel("temperature").values[:, None]
-    effects = [balance.temperature[name] for name in balance.components]
-    change = temperature - np.array([effect.reference for effect in effects])
-    zero = np.array([effect.zero for effect in effects])
-    gain = np.array([effect.sensitivity for effect in effects])
-    # the zero was read at the run's own temperature: only what changes within the run moves it
-    moved = temperature - recording.extent.means.get("temperature", float(np.nanmean(temperature)))
-    return np.asarray((outputs - zero * moved) / (1 + gain * change))
 
 
 def _noise(channel: Channel) -> float:
@@ -375,51 +370,6 @@ def _from_matrix(felt: Loads, native: Array) -> Array:
     return found
 
 
-def wind_off_loads(
-    recording: Recording,
-    wind_off: Sequence[Recording],
-    balance: BalanceMatrix,
-    *,
-    zero: GaugeZero | None = None,
-    form: Form | None = None,
-) -> tuple[Array, Array]:
-    """Loads of wind-off recordings, at the attitude of a run: values and standard uncertainty, shape (n, c).
-
-    The mean loads of the wind-off recordings are joined by straight lines over pitch. One recording, or recordings
-    without pitch, give one constant tare.
-
-    Raises
-    ------
-    FitError
-        The run goes beyond the pitch angles of the wind-off recordings.
-    """
-    results = [loads_of_outputs(item, balance, zero=zero, form=form) for item in wind_off]
-    means = np.array([np.nanmean(result.values, axis=0) for result in results])
-    us = np.array([result.noise / np.sqrt(max(len(result.values), 1)) for result in results])
-    with_pitch = all("pitch" in item for item in (recording, *wind_off))
-    if not with_pitch:
-        return means.mean(axis=0)[None, :], np.sqrt(np.sum(us**2, axis=0) / len(us) ** 2)[None, :]
-    angles = np.array([float(np.nanmean(item.channel("pitch").values)) for item in wind_off])
-    pitch = recording.channel("pitch").values
-    if len(wind_off) == 1 and np.nanmax(np.abs(pitch - angles[0])) <= SHARED_PITCH:
-        return means, us
-    least, most = (float(np.degrees(limit)) for limit in (np.nanmin(pitch), np.nanmax(pitch)))
-    first, last = float(np.degrees(angles.min())), float(np.degrees(angles.max()))
-    slack = float(np.degrees(SHARED_PITCH))
-    if least < first - slack or most > last + slack:
-        raise FitError(
-            f"{recording.name}: pitch goes from {least:.4g} to {most:.4g} deg, but the wind-off recordings cover "
-            f"{first:.4g} to {last:.4g} deg; add "
-            "wind-off recordings, or weigh the model and give its mass.json instead"
-        )
-    order = np.argsort(angles)
-    columns = [
-        np.column_stack([np.interp(pitch, angles[order], table[order, i]) for i in range(table.shape[1])])
-        for table in (means, us)
-    ]
-    return columns[0], columns[1]
-
-
 def static_uncertainty(felt: Loads, *, forces: Mapping[str, Array]) -> dict[str, Array]:
     """Standard uncertainty that the calibration gives to static loads of the size of forces, by component.
 
@@ -444,13 +394,12 @@ def _with_loads(recording: Recording, felt: Loads) -> Recording:
     """The recording, balance loads in the place of its gauge outputs."""
     channels = {name: channel for name, channel in recording.channels.items() if not is_gauge(name)}
     channels.pop("excitation", None)
-    delays = [channel.delay for channel in recording if is_gauge(channel.name) or channel.name in felt.components]
+    gauges = {name for name in recording.channels if is_gauge(name)}
+    # loads whose zero has changed are in the recording already
+    delay = delay_of_outputs(recording) if gauges else recording.channel(felt.components[0]).delay
     for index, (name, unit) in enumerate(zip(felt.components, felt.units, strict=True)):
         noise = float(felt.noise[index])
-        channels[name] = Channel(
-            name, felt.values[:, index], unit, noise=noise or None, delay=float(np.mean(delays)), file_unit=unit
-        )
-    gauges = {name for name in recording.channels if is_gauge(name)}
+        channels[name] = Channel(name, felt.values[:, index], unit, noise=noise or None, delay=delay, file_unit=unit)
     declared = recording.declared | (set(felt.components) if gauges and gauges <= recording.declared else set())
     return replace(
         recording,

@@ -9,10 +9,11 @@ import numpy as np
 
 from aerobalance.balance.calibration.fit import Calibration, matrix_of
 from aerobalance.balance.load_formats import Form
-from aerobalance.balance.loads import Loads, loads_of_outputs, wind_off_loads
+from aerobalance.balance.loads import Loads, loads_of_outputs
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.weighing import Weighing
 from aerobalance.balance.weight_on_zero import WeightOnZero, attitudes_of, settled_zero, weight_on_zero, zero_or_mean
+from aerobalance.balance.wind_off import wind_off_loads
 from aerobalance.balance.zeros import CarriedWeight, Zero, gauge_table
 from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.channel import Array

@@ -110,6 +110,12 @@ class Schedule:
         for field in ("loads", "outputs", "natural_zeros"):
             if not np.isfinite(getattr(self, field)).all():
                 raise ValueError(f"{field} must be finite")
+        if self.temperature is not None and not np.isfinite(self.temperature).all():
+            where = self.label(int(np.flatnonzero(~np.isfinite(self.temperature))[0]))
+            raise ValueError(
+                f"temperature must be finite, which that of {where} is not; leave out the points that lack it, or "
+                "give no temperature at all (None)"
+            )
 
     @property
     def fitted(self) -> NDArray[np.bool_]:

@@ -30,7 +30,7 @@ from aerobalance.balance.zeros import (
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.errors import argument, warn_quality
-from aerobalance.recording.gravity import Attitudes, GravityOnZero, gravity_share
+from aerobalance.recording.gravity import Attitudes, GravityOnZero, gravity_share, weight_direction
 from aerobalance.recording.recording import Recording
 
 FORCES: Final = tuple(name for name in COMPONENTS if si_unit(name) == "N")
@@ -40,6 +40,9 @@ CURVED: Final = 0.001
 
 USUAL_WEIGHT: Final = 0.3
 """Weight over range that a model may well have."""
+
+SHARED_PITCH: Final = np.radians(0.2)
+"""Difference of the mean attitude up to which two recordings are at the same one [rad]."""
 
 _NOTHING: Final = np.zeros(len(COMPONENTS))
 
@@ -114,7 +117,8 @@ def settled_zero(zero: Zero | None, balance: BalanceMatrix, carried: WeightOnZer
         return None
     if not zero.recordings:
         return GaugeZero.taken_off(balance)
-    read = gauge_zero(zero.recordings, balance, after=zero.after, model_on=False)
+    alike = zero.model_on is False or (_at_one_attitude(zero.recordings) and _at_one_attitude(zero.after))
+    read = gauge_zero(zero.recordings, balance, after=zero.after, model_on=False, alike=alike)
     nothing_on = replace(read, from_natural=from_natural_zeros(read, _NOTHING, COMPONENTS, balance))
     if zero.model_on is False:
         return nothing_on
@@ -164,7 +168,7 @@ def zero_or_mean(zero: GaugeZero | None, recordings: Sequence[Recording], balanc
         "no zero was given and the calibration has none; the mean of the recordings at rest is taken for it. Offsets "
         "count from there, and curved or bidirectional bridges are read from there"
     )
-    return gauge_zero(recordings, balance, model_on=False)
+    return gauge_zero(recordings, balance, model_on=False, alike=False)
 
 
 def attitudes_of(recording: Recording) -> Attitudes:
@@ -172,6 +176,12 @@ def attitudes_of(recording: Recording) -> Attitudes:
     nothing = np.zeros(recording.samples)
     pitch, roll = (recording.channel(name).values if name in recording else nothing for name in ("pitch", "roll"))
     return Attitudes(pitch, roll)
+
+
+def _at_one_attitude(recordings: Sequence[Recording]) -> bool:
+    """Whether the weight of what hung on the balance was the same in all recordings."""
+    pulls = [np.nanmean(weight_direction(*attitudes_of(recording)), axis=0) for recording in recordings]
+    return all(bool(np.linalg.norm(pull - pulls[0]) <= SHARED_PITCH) for pull in pulls[1:])
 
 
 def _under(zero: GaugeZero, carried: WeightOnZero, balance: BalanceMatrix) -> GaugeZero:

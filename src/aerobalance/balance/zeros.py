@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 from aerobalance.balance.bridge_outputs import gauge_outputs
 from aerobalance.balance.load_formats import role_of
 from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.balance.steady_means import batch_means, mean_of_records, variance_of_mean
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, is_gauge
 from aerobalance.recording.errors import FitError, argument
 from aerobalance.recording.gravity import GravityOnZero
 from aerobalance.recording.noise import white_noise
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.resampling import on_one_delay
 from aerobalance.recording.sensors import corrected
 
 FEWEST: Final = 8
@@ -86,6 +88,9 @@ class GaugeZero:
     moved
         Standard deviation of the outputs within a zero where they moved by more than bridges drift, shape (c,) [mV/V];
         0 elsewhere. It is in `u`.
+    differ
+        Standard uncertainty of their mean by what several zeros of one load differ by, where that is more than bridges
+        drift, shape (c,) [mV/V]; 0 elsewhere. It is in `u`.
     drifted
         Whether a bridge moved by more than that from the beginning to the end of the run.
     from_natural
@@ -102,6 +107,7 @@ class GaugeZero:
     operating_point: Array | None = None
     model_on: bool | None = None
     moved: Array = field(default_factory=lambda: np.zeros(1))
+    differ: Array = field(default_factory=lambda: np.zeros(1))
     drifted: bool = False
     from_natural: Mapping[str, FromNatural] = field(default_factory=dict)
 
@@ -148,8 +154,10 @@ class Zero:
         ValueError
             `model_on` is not said, or there are zeros after the run and none before it.
         """
-        if model_on not in (True, False, "auto"):
-            raise ValueError(SAY_HOW_READ)
+        if isinstance(model_on, np.bool_):
+            model_on = bool(model_on)
+        if not isinstance(model_on, bool) and model_on != "auto":  # 0 and 1 only equal False and True
+            raise ValueError(f"{SAY_HOW_READ}; not {model_on!r}")
         before, later = (
             tuple(corrected(item) for item in ((one,) if isinstance(one, Recording) else one))
             for one in (recordings, after)
@@ -178,6 +186,7 @@ def gauge_table(recording: Recording, balance: BalanceMatrix) -> tuple[Array, tu
     """Gauge outputs in the order of the balance's bridges: shape (n, c) [mV/V], and their channels.
 
     Bridges are found by name (``r`` and the bridge's name), or by another usual name of the same thing (rAx, rAxial).
+    Where they were not read at once, they are brought to the instants in their middle, `delay_of_outputs`.
 
     Raises
     ------
@@ -198,7 +207,14 @@ def gauge_table(recording: Recording, balance: BalanceMatrix) -> tuple[Array, tu
                 f"{', '.join(names) or 'no gauge outputs (names beginning with r, such as rAF)'}"
             )
         chosen.append(ready.channel(found[0]))
-    return np.column_stack([channel.values for channel in chosen]), tuple(chosen)
+    table, delay = np.column_stack([channel.values for channel in chosen]), delay_of_outputs(recording)
+    return on_one_delay(table, chosen, delay=delay, interval=1 / recording.rate), tuple(chosen)
+
+
+def delay_of_outputs(recording: Recording) -> float:
+    """Mean of the times by which the gauge outputs of a recording lag the clock [s]; 0 where it has none."""
+    delays = [channel.delay for channel in recording if is_gauge(channel.name)]
+    return float(np.mean(delays)) if delays else 0.0
 
 
 def gauge_zero(
@@ -207,6 +223,7 @@ def gauge_zero(
     *,
     after: Sequence[Recording] = (),
     model_on: bool | None = None,
+    alike: bool = True,
 ) -> GaugeZero:
     """Mean gauge zeros [mV/V] of recordings without wind, and their drift to those after the run.
 
@@ -220,13 +237,18 @@ def gauge_zero(
         Closing zeros, where they were read.
     model_on
         False where nothing hung on the balance. Where the model did, `without_weight` takes its weight out.
+    alike
+        Whether all before the run were read under one load, and all after it: then what they differ by counts as an
+        error of each. Otherwise it may be the weight at several attitudes.
     """
-    first = _mean_outputs(tuple(recordings), balance)
+    first = _mean_outputs(tuple(recordings), balance, alike=alike)
     source = ", ".join(recording.name for recording in recordings)
     if not after:
         nothing = np.zeros_like(first.values)
-        return GaugeZero(first.values, first.u, source, nothing, model_on=model_on, moved=first.moved)
-    last = _mean_outputs(tuple(after), balance)
+        return GaugeZero(
+            first.values, first.u, source, nothing, model_on=model_on, moved=first.moved, differ=first.differ
+        )
+    last = _mean_outputs(tuple(after), balance, alike=alike)
     drift, noise = last.values - first.values, np.maximum(first.noise, last.noise)
     return GaugeZero(
         first.values,
@@ -235,13 +257,14 @@ def gauge_zero(
         drift,
         model_on=model_on,
         moved=np.maximum(first.moved, last.moved),
+        differ=np.maximum(first.differ, last.differ),
         drifted=bool(is_moved(drift, noise, MOVED_IN_RANGE[1] * balance.output_scale).any()),
     )
 
 
 @lru_cache(maxsize=4)  # the same for all parts of a record
-def _mean_outputs(recordings: tuple[Recording, ...], balance: BalanceMatrix) -> _MeanOutputs:
-    return _MeanOutputs.of(recordings, balance)
+def _mean_outputs(recordings: tuple[Recording, ...], balance: BalanceMatrix, *, alike: bool) -> _MeanOutputs:
+    return _MeanOutputs.of(recordings, balance, alike=alike)
 
 
 def is_moved(change: Array, noise: Array, least: Array) -> NDArray[np.bool_]:
@@ -369,15 +392,19 @@ def in_own_components(weight: Array, balance: BalanceMatrix) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _MeanOutputs:
-    """Mean of the gauge outputs over recordings, its standard uncertainty, noise and movement, shape (c,) [mV/V]."""
+    """Mean of the gauge outputs over recordings, its standard uncertainty, noise and movement, shape (c,) [mV/V].
+
+    `differ` is what the recordings leave of the mean where they differ by more than bridges drift, and 0 elsewhere.
+    """
 
     values: Array
     u: Array
     noise: Array
     moved: Array
+    differ: Array
 
     @classmethod
-    def of(cls, recordings: Sequence[Recording], balance: BalanceMatrix) -> _MeanOutputs:
+    def of(cls, recordings: Sequence[Recording], balance: BalanceMatrix, *, alike: bool) -> _MeanOutputs:
         means, variances, noises, moves = [], [], [], []
         for recording in recordings:
             table, _ = gauge_table(recording, balance)
@@ -385,31 +412,19 @@ class _MeanOutputs:
             if known.shape[0] < 2:
                 raise FitError(f"{recording.name}: no samples with all gauge outputs to take a zero from")
             noise = np.array([white_noise(column) if column.size >= FEWEST else 0.0 for column in known.T])
-            batches = _batch_means(known)
+            batches = batch_means(known)
             moved = is_moved(np.ptp(batches, axis=0), noise, MOVED_IN_RANGE[0] * balance.output_scale)
             means.append(known.mean(axis=0))
             noises.append(noise)
             moves.append(np.where(moved, batches.std(axis=0), 0.0))
-            variances.append(_variance_of_mean(known) + moves[-1] ** 2)
-        count = len(means)
+            variances.append(variance_of_mean(known) + moves[-1] ** 2)
+        count, noise = len(means), np.max(noises, axis=0)
+        found = mean_of_records(means, variances)
+        differ = is_moved(np.ptp(means, axis=0), noise, MOVED_IN_RANGE[1] * balance.output_scale)
         return cls(
-            np.mean(means, axis=0),
-            np.sqrt(np.sum(variances, axis=0)) / count,
-            np.max(noises, axis=0),
+            found.values,
+            np.sqrt(found.variance if alike else np.sum(variances, axis=0) / count**2),
+            noise,
             np.sqrt(np.sum(np.square(moves), axis=0)) / count,
+            np.where(differ & alike, np.sqrt(found.between), 0.0),
         )
-
-
-def _batch_means(table: Array) -> Array:
-    """Means of up to 20 equal parts of columns, shape (parts, c)."""
-    batches = max(min(20, table.shape[0] // 2), 1)
-    length = table.shape[0] // batches
-    return np.asarray(table[: batches * length].reshape(batches, length, -1).mean(axis=1))
-
-
-def _variance_of_mean(table: Array) -> Array:
-    """Variance of column means by batch means, which holds for ringing and hum too, shape (c,)."""
-    means = _batch_means(table)
-    if len(means) < 2:
-        return np.asarray(table.var(axis=0, ddof=1) / table.shape[0])
-    return np.asarray(means.var(axis=0, ddof=1) / len(means))

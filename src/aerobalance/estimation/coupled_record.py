@@ -101,7 +101,9 @@ class CoupledRecord(BalanceRecord):
         frequencies = [mode.natural_frequency for mode in dynamics.modes]
         check_clock(recording, "the slowest mode", channels=dynamics.components, frequencies=frequencies)
         platform = PlatformMotion.of(recording, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
-        loads = np.column_stack([np.where(channel.at_limit, np.nan, channel.values) for channel in channels])
+        interval = 1 / recording.rate
+        lost = [one.at_limit | platform.unread_at(one.delay, interval=interval) for one in channels]
+        loads = np.where(np.column_stack(lost), np.nan, np.column_stack([channel.values for channel in channels]))
         noise = noise_covariance(channels, interpolate_gaps(loads)) if noise is None else noise
         nothing, on_zero = np.zeros_like(loads), _weight_on_zero(platform, dynamics)
         made = cls(recording, dynamics, platform, channels, loads, noise, nothing, on_zero, ())

@@ -157,6 +157,10 @@ def _hum_of(reading: Observation, values: Array, hum: Hum) -> tuple[tuple[Line, 
     return lines, ()
 
 
+HIDDEN: Final = "force in gaps of the readings"
+"""Contribution of what a gap hides of the force."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class SmootherResult:
     """What the smoother makes of a reading with a given prior and given steps.
@@ -255,16 +259,32 @@ class SmootherResult:
         both = float(np.mean(load + ground))
         if not both > 0:
             return [Noise("noise of the readings", sources[0], np.sqrt(self.variance), np.ones(1))]
+        variance, hidden = self._by_gaps()
         parts: list[Contribution] = []
         names = ("noise of the readings", "noise of the ground motion")
         for name, source, density, after in zip(names, sources, (load, ground), halved, strict=True):
             own = float(np.mean(density))
             if own > 0:
                 left = max(1 - (both - float(np.mean(after[0] + after[1]))) / own, 0.0)
-                deviation = np.sqrt(self.variance * own / both)
+                deviation = np.sqrt(variance * own / both)
                 parts.append(Noise(name, source, deviation, density / own, float(np.sqrt(left))))
         beyond = np.sqrt(self.variance * np.maximum(level - 1, 0.0))
-        return [*parts, Noise("what the model does not explain", sources[0], beyond, (load + ground) / both)]
+        parts.append(Noise("what the model does not explain", sources[0], beyond, (load + ground) / both))
+        if hidden.any():
+            parts.append(Noise(HIDDEN, sources[0], np.sqrt(hidden), force / float(np.mean(force))))
+        return parts
+
+    def _by_gaps(self) -> tuple[Array, Array]:
+        """Variance of the force as elsewhere in the record, and what gaps make it more, shape (n,) each [N^2].
+
+        What noise leaves is the force's error at the frequencies at which the balance tells it badly; what a gap hides
+        is the force itself, of its own spectrum, slow where that is.
+        """
+        present = self.reading.present
+        if present.all():
+            return self.variance, np.zeros_like(self.variance)
+        usual = float(np.median(self.variance[present]))
+        return np.minimum(self.variance, usual), np.maximum(self.variance - usual, 0.0)
 
     def step_errors(self, estimator: LinearSmoother) -> list[Contribution]:
         """Errors from the sizes of constant and steps and from the steps' instants, with its `estimator`."""

@@ -82,13 +82,23 @@ class SingleRecord(ComponentRecord):
         return load_from_ground(self.motion, self.dynamics, rate=self.recording.rate, load_delay=delay)
 
     @property
+    def before_ground(self) -> NDArray[np.bool_]:
+        """Where the load was read before or after the sensors of a ground that moves, for its delay, shape (n,)."""
+        return self.motion.unread_at(self._load_delay, interval=self.interval)
+
+    @property
     def motion_force(self) -> Array:
         """Force of the ground's motion on the moving mass at the load's sampling instants, shape (n,) [N]."""
         force = self.motion.force(self.dynamics.mass) + self.motion_error
-        lag = self.dynamics.delay + self.recording.channel(self.dynamics.component).delay - self.motion.delay
+        lag = self._load_delay - self.motion.delay
         if not lag or not force.any():
             return force
         return fractional_delay(force, delay=lag, interval=self.interval)
+
+    @property
+    def _load_delay(self) -> float:
+        """Time by which the load lags the clock, that of the balance included [s]."""
+        return self.dynamics.delay + self.recording.channel(self.dynamics.component).delay
 
     @property
     def rows(self) -> NDArray[np.intp]:

@@ -117,6 +117,11 @@ class ComponentRecord(ABC):
         return np.zeros(self.recording.samples)
 
     @property
+    def before_ground(self) -> NDArray[np.bool_]:
+        """Where the load was read before or after the sensors of a ground that moves, for its delay, shape (n,)."""
+        return np.zeros(self.recording.samples, dtype=bool)
+
+    @property
     def motion_force(self) -> Array:
         """Force of the ground's motion on the moving mass at the load's instants, still in the readings, (n,) [N]."""
         return np.zeros(self.recording.samples) + self.motion_error
@@ -124,11 +129,13 @@ class ComponentRecord(ABC):
     def reading(self, *, hum: tuple[float, ...] = ()) -> Observation:
         """The record as the estimator takes it: the load that the ground's motion has put on it is taken off.
 
-        Hum is named by its frequencies [Hz] and left in; readings that rest on a limit count as missing.
+        Hum is named by its frequencies [Hz] and left in; readings that rest on a limit count as missing, and so do
+        those of instants at which the ground's motion was not read.
         """
         channel = self.recording.channel(self.dynamics.component)
+        lost = channel.at_limit | self.before_ground
         reading = Observation(
-            values=np.where(channel.at_limit, np.nan, channel.values - self.from_ground),
+            values=np.where(lost, np.nan, channel.values - self.from_ground),
             interval=self.interval,
             dynamics=self.dynamics,
             input_density=self.input_noise**2 * self.interval,
@@ -339,11 +346,22 @@ class BalanceRecord(ABC):
         model
             Another model in the place of the component's own.
         """
-        channel, decoupled = self.channels[on_clock_of], self.decoupled[place]
+        decoupled = self.decoupled[place] if model is None else replace(self.decoupled[place], dynamics=model)
+        return decoupled.reading(self.without_ground(filled, on_clock_of=on_clock_of), interval=self.interval)
+
+    def without_ground(self, filled: Array, *, on_clock_of: int) -> Array:
+        """Return all readings at the instants of a component's channel less the ground's load, (samples, n) [N, N*m].
+
+        Parameters
+        ----------
+        filled
+            The readings without gaps, as in `component_records`.
+        on_clock_of
+            Row of the component.
+        """
+        channel = self.channels[on_clock_of]
         own = align_channels(filled, self.channels, to=channel, interval=self.interval)
-        ground = fractional_delay(self.from_ground, delay=channel.delay, interval=self.interval)
-        decoupled = decoupled if model is None else replace(decoupled, dynamics=model)
-        return decoupled.reading(own - ground, interval=self.interval)
+        return own - fractional_delay(self.from_ground, delay=channel.delay, interval=self.interval)
 
     @abstractmethod
     def component_record(

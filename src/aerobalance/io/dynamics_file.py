@@ -44,7 +44,7 @@ from aerobalance.io.coupled_part import (
     coupled_from,
     coupled_payload,
 )
-from aerobalance.recording.components import COMPONENTS, mass_unit, si_unit
+from aerobalance.recording.components import COMPONENTS, MOMENTS, mass_unit, si_unit
 from aerobalance.recording.errors import ReadError, warn_quality
 
 Kind = Literal["axial", "coupled"]
@@ -80,12 +80,17 @@ class _SeparateFile(Loose):
     components: Annotated[dict[str, _ComponentDynamics], Field(min_length=1)]
 
 
+_FORMER_UNITS: Final = {"stiffness": "N/m", "damping": "N*s/m"}
+"""What earlier files say of moments too, whose numbers are the same."""
+
+
 def dynamics_units(component: str) -> dict[str, str]:
-    """Units of the parameters in dynamics.json."""
+    """Units of the parameters in dynamics.json; of a moment the mass has its lever, and with it what goes with it."""
+    moment = component in MOMENTS
     return {
         "mass": mass_unit(component),
-        "stiffness": "N/m",
-        "damping": "N*s/m",
+        "stiffness": "N" if moment else "N/m",
+        "damping": "N*s" if moment else "N*s/m",
         "natural_frequency": "Hz",
         "damping_ratio": "1",
         "delay": "s",
@@ -182,7 +187,8 @@ def read_dynamics(path: Path | str) -> dict[str, Dynamics]:
         units = dynamics_units(name)
         given = {parameter: getattr(entry, parameter) for parameter in PARAMETERS}
         for parameter, value in given.items():
-            check_unit(file, f"{key}.{parameter}.unit", value, units[parameter])
+            if value.unit != _FORMER_UNITS.get(parameter):
+                check_unit(file, f"{key}.{parameter}.unit", value, units[parameter])
         deviations = {parameter: value.u for parameter, value in given.items()}
         for number, mode in enumerate(entry.modes[1:], start=2):
             deviations |= {f"{item}_{number}": getattr(mode, f"u_{item}") for item in MODE_PARAMETERS}

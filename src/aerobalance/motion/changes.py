@@ -51,11 +51,13 @@ class MotionChanges:
         """
         first, pull = self._record.first, self._record.pull
         if name in pull.angles:
-            angles = {**pull.angles, name: pull.angles[name] + change}
+            channel, delay = self._record.recording.channel(name), self._record.delay
+            moved = on_clock(change, channel, rate=self._record.recording.rate, delay=delay)
+            angles = {**pull.angles, name: pull.angles[name] + moved}
             other = Gravity.of(angles["pitch"], angles.get("roll", np.zeros(change.size)), gravity=pull.gravity)
             turned = other.acceleration - pull.acceleration
             return self._moved(felt_of(first, turned)) - turned
-        delay = first.sensors[0].channel.delay
+        delay = self._record.delay
         sensors = tuple(
             replace(
                 one,

@@ -10,12 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.dynamics.rigid_body import RigidMass
+from aerobalance.motion.assumptions import check_roll, taken_as_zero
 from aerobalance.motion.at_rest import AT_REST, tones
+from aerobalance.motion.attitude import Attitude
 from aerobalance.motion.consistency import Effect, check_agreement
-from aerobalance.motion.gaps import GAP, filled
+from aerobalance.motion.gaps import GAP
 from aerobalance.motion.least_squares import GroundFit
 from aerobalance.motion.rotation import Turning
-from aerobalance.motion.sensors import driving_sensors, ground_sensors, motion_name, unseen
+from aerobalance.motion.sensors import driving_sensors, ground_sensors, motion_name
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import (
     AXES,
@@ -28,9 +30,8 @@ from aerobalance.recording.components import (
     acceleration_name,
     driving_axis,
 )
-from aerobalance.recording.gravity import Gravity
-from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.resampling import held_by_delays
 from aerobalance.recording.sensors import corrected
 
 GAINS: Final = ("accelerometer gain", "turn sensor gain")
@@ -39,8 +40,11 @@ GAINS: Final = ("accelerometer gain", "turn sensor gain")
 TURNING: Final = "w x (w x r) by integrated turns"
 """Name of what is not known of the rate of turn."""
 
-TOLD: Final = 0.01
-"""Part of an accelerometer's noise from which the size of w x (w x r) in it is told."""
+ROUNDING: Final = 1e-9
+"""Share of a sensor in a motion, over the largest, up to which it has none."""
+
+FEWEST: Final = 64
+"""Samples from which it can be told that a motion shows nothing beyond its noise: they tell its variance to 18 %."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,6 +101,8 @@ class PlatformMotion:
         the angles, and gravity, these less what they do in the zero of the loads; slopes have shape (n, 6).
     gravity_on_zero
         Gravity at the zero of the recording's loads, shape (6,) [m/s^2].
+    delays
+        Times by which its sensors, and the angles that move, lag the clock [s].
     """
 
     acceleration: Array
@@ -108,6 +114,7 @@ class PlatformMotion:
     assumptions: tuple[str, ...]
     unknowns: tuple[SystematicParameter, ...] = ()
     gravity_on_zero: Array = field(default_factory=lambda: np.zeros(len(COMPONENTS)))
+    delays: tuple[float, ...] = ()
 
     @classmethod
     def of(
@@ -161,49 +168,16 @@ class PlatformMotion:
         """
         return -self.specific_force @ mass.matrix.T - mass.turning_load(self.turn_rate)
 
+    def unread_at(self, delay: float, *, interval: float) -> NDArray[np.bool_]:
+        """Where a load that lags the clock by a delay [s] was read while a sensor of a moving ground was not, (n,)."""
+        moves = np.ptp(self.specific_force, axis=0).any()
+        lags = [delay - own for own in self.delays] if moves else []
+        return held_by_delays(len(self.specific_force), delays=lags, interval=interval)
+
 
 def driven_column(component: str) -> int:
     """Return the place among the components of the motion that drives a component taken alone."""
     return FORCE_ROWS[AXES.index(driving_axis(component))]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Gravity:
-    """Gravity at the angles that were recorded, and their noise."""
-
-    acceleration: Array
-    gravity: float
-    angles: dict[str, Array]
-    slopes: dict[str, Array]
-    noise: dict[str, float]
-    assumptions: tuple[str, ...]
-    gaps: dict[str, Array] = field(default_factory=dict)
-
-    @classmethod
-    def of(cls, recording: Recording, gravity: float) -> _Gravity:
-        nothing = np.zeros(recording.samples)
-        if "pitch" not in recording:
-            said = "pitch is not recorded and taken as constant; a constant weight is left out"
-            return cls(np.broadcast_to(0.0, (recording.samples, 6)), gravity, {}, {}, {}, (said,))
-        names = [name for name in ("pitch", "roll") if name in recording]
-        both = {name: filled(recording.channel(name)) for name in names}
-        angles = {name: values for name, (values, _) in both.items()}
-        pull = Gravity.of(angles["pitch"], angles.get("roll", nothing), gravity=gravity)
-        noise = {name: channel_noise(recording.channel(name)) for name in names}
-        return cls(
-            pull.acceleration,
-            gravity,
-            angles,
-            {name: pull.slopes[name] for name in names},
-            noise,
-            (),
-            {name: gaps for name, (_, gaps) in both.items()},
-        )
-
-
-def _kinematic(fit: GroundFit, pull: _Gravity, samples: int) -> Array:
-    """Readings with gravity put back where the sensor reads specific force, shape (n, m)."""
-    return fit.readings(samples) + felt_of(fit, pull.acceleration)
 
 
 def felt_of(fit: GroundFit, pull: Array) -> Array:
@@ -228,21 +202,29 @@ class MotionRecord:
         Readings of the sensors with gravity put back, shape (n, m).
     along
         The one component whose motion is wanted; None for all.
+    delay
+        Time by which all of it lags the clock [s]: that of the first sensor, or of the pitch where there is none.
     """
 
     recording: Recording
     first: GroundFit
-    pull: _Gravity
+    pull: Attitude
     readings: Array
     along: str | None
+    delay: float
 
     @classmethod
     def of(cls, recording: Recording, *, along: str | None, gravity: float) -> MotionRecord:
         """Take the sensors and angles of a corrected recording; the arguments are those of `PlatformMotion.of`."""
         sensors = ground_sensors(recording) if along is None else driving_sensors(recording, along)
-        pull = _Gravity.of(recording, gravity)
+        clock = sensors[0].channel if sensors else recording.channels.get("pitch")
+        delay = 0.0 if clock is None else clock.delay
+        pull = Attitude.of(recording, gravity, delay=delay)
+        if not any(sensor.reads_gravity for sensor in sensors):
+            check_roll(recording, along=along, gravity=gravity)
         fit = GroundFit.of(sensors, rate=recording.rate)
-        return cls(recording, fit, pull, _kinematic(fit, pull, recording.samples), along)
+        readings = fit.readings(recording.samples) + felt_of(fit, pull.acceleration)
+        return cls(recording, fit, pull, readings, along, delay)
 
     def solved(self, gravity_uncertainty: float) -> PlatformMotion:
         """The motion; local gravity has this standard uncertainty [m/s^2]."""
@@ -259,10 +241,11 @@ class MotionRecord:
             white_covariance=covariance + fit.white_covariance - fit.covariance,
             specific_force=found.motion - self.pull.acceleration if self.pull.angles else found.motion,
             turn_rate=found.rate,
-            delay=fit.sensors[0].channel.delay if fit.sensors else 0.0,
+            delay=self.delay,
             assumptions=(*said, *self._told(found)),
             unknowns=tuple(self._unknowns(fit, effects, known)),
             gravity_on_zero=self.recording.gravity_on_zero.acceleration,
+            delays=(*(sensor.channel.delay for sensor in fit.sensors), *self.pull.delays),
         )
 
     def at_rest(self) -> tuple[GroundFit, Array, Array, list[str]]:
@@ -279,13 +262,14 @@ class MotionRecord:
         plain &= np.array([s.kind != "rate" for s in fit.sensors], dtype=bool)
         while True:
             left = self.readings - known @ fit.rows.T if said else self.readings
-            motion, spread = fit.motion(left), np.diag(fit.covariance)
-            if self._missing.any():
-                motion = np.where(self._missing[:, None], np.nan, motion)  # a line across a gap is no motion
+            spread = np.diag(fit.covariance)
+            motion, told = self._where_read(fit, fit.motion(left))
             ratios = {
                 column: float(np.nanvar(motion[:, column]) / spread[column])
                 for column in fit.columns
-                if spread[column] > 0 and not any(band.gains[column, ~plain].any() for band in fit.bands)
+                if told[column]
+                and spread[column] > 0
+                and not any(band.gains[column, ~plain].any() for band in fit.bands)
             }
             least = min(ratios, key=ratios.__getitem__, default=-1)
             if least < 0 or ratios[least] >= AT_REST:
@@ -300,17 +284,25 @@ class MotionRecord:
             )
             fit = fit.only(set(fit.columns) - {least})
 
-    @property
-    def _missing(self) -> NDArray[np.bool_]:
-        """Whether a sensor has no reading, shape (n,)."""
-        lost = [sensor.channel.missing for sensor in self.first.sensors]
-        return np.any(lost, axis=0) if lost else np.zeros(self.readings.shape[0], dtype=bool)
+    def _where_read(self, fit: GroundFit, motion: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Motions of shape (n, 6), NaN where a sensor of one has no reading, and which of them are still told, (6,).
+
+        A line across a gap is no motion, and a few samples beside one do not tell that there is none.
+        """
+        lost = np.column_stack([sensor.channel.missing for sensor in fit.sensors])
+        if not lost.any():
+            return motion, np.ones(6, dtype=bool)
+        sizes = np.max([np.abs(band.gains) for band in fit.bands], axis=0)
+        used = sizes > ROUNDING * sizes.max(axis=1, keepdims=True)
+        bridged = lost.astype(np.float64) @ used.T > 0
+        enough = min(FEWEST, len(motion) // 2)
+        return np.where(bridged, np.nan, motion), np.count_nonzero(~bridged, axis=0) >= enough
 
     def _told(self, found: Turning) -> Iterator[str]:
         """What is taken as zero or approximately because of what is not recorded."""
         reads_gravity = False
         if self.along is None:
-            yield from _told(self.first, found)
+            yield from taken_as_zero(self.first, found)
         elif not self.first.sensors:
             name = acceleration_name("ground", self.along)
             yield f"{name} is not recorded; the ground end is taken to be at rest along {self.along}"
@@ -394,33 +386,3 @@ class MotionRecord:
         """Share of a sensor in every motion, shape (6,): by so much the gain of its tones is its own."""
         index = [sensor.channel.name for sensor in self.first.sensors].index(name)
         return np.asarray(self.first.bands[0].gains[:, index] * self.first.rows[index])
-
-
-def _told(first: GroundFit, found: Turning) -> Iterator[str]:
-    """What is taken as zero or approximately because of what the sensors of six motions do not see."""
-    names = [sensor.channel.name for sensor in first.sensors]
-    if not names:
-        yield "no ground acceleration is recorded; the ground end is taken to be at rest"
-        return
-    for index, sensor in enumerate(first.sensors):
-        if sensor.kind == "rate" and first.reach[index] == 0:
-            yield f"{names[index]} shows nothing beyond its noise and is not used"
-    used = np.any([band.used for band in first.bands], axis=0)
-    yield from unseen(first.rows[used], first.columns)
-    for band in first.bands[1:]:
-        lost = [motion_name(column) for column in first.columns if column not in band.columns]
-        if lost:
-            yield f"the ground's {', '.join(lost)} is taken as zero above {band.low:.3g} Hz, where no sensor shows it"
-    turns = any(turn in first.columns for turn in MOMENT_ROWS)
-    bare = [s.channel.name for s in first.sensors if s.kind == "acceleration" and s.channel.place is None]
-    if turns and bare:
-        yield f"{', '.join(bare)}: no place is given, so the balance's centre is taken for it"
-    yield from found.assumptions
-    sizes = np.sqrt(np.mean(found.felt**2, axis=0))
-    large = any(size > TOLD * sensor.noise and size > 0 for size, sensor in zip(sizes, first.sensors, strict=True))
-    if large and found.removed:
-        most = float(np.max(np.abs(found.felt)))
-        yield (
-            f"w x (w x r) of the accelerometers' places, up to {most:.3g} m/s^2, is taken off "
-            "with the rate of turn as recorded, or else integrated less a straight line, which lacks a steady turn"
-        )

@@ -114,7 +114,7 @@ def ground_sensors(recording: Recording) -> tuple[GroundSensor, ...]:
         if kind == "acceleration":
             axis, place = _mounting(channel, recording)
         delay = found[0].channel.delay if found else channel.delay
-        values, gaps = _on_clock(recording, channel, delay)
+        values, gaps = on_clock_with_gaps(recording, channel, delay)
         found.append(GroundSensor(channel, kind, axis, place, values, channel_noise(channel), gaps))
     return tuple(found)
 
@@ -135,7 +135,7 @@ def driving_sensors(recording: Recording, component: str) -> tuple[GroundSensor,
     channel = recording.channel(name)
     _check_read(channel, recording)
     axis = np.array(AXIS_VECTORS[driving_axis(component)], dtype=np.float64)
-    values, gaps = _on_clock(recording, channel, channel.delay)
+    values, gaps = on_clock_with_gaps(recording, channel, channel.delay)
     return (GroundSensor(channel, "acceleration", axis, np.zeros(3), values, channel_noise(channel), gaps),)
 
 
@@ -172,7 +172,7 @@ def _mounting(channel: Channel, recording: Recording) -> tuple[Array, Array]:
     return vector / np.linalg.norm(vector), np.array(channel.place or (0.0, 0.0, 0.0), dtype=np.float64)
 
 
-def _on_clock(recording: Recording, channel: Channel, delay: float) -> tuple[Array, Array]:
+def on_clock_with_gaps(recording: Recording, channel: Channel, delay: float) -> tuple[Array, Array]:
     """Readings without gaps or high-pass, (n,), and errors within the gaps, (n, k), as if both had this delay [s]."""
     values, gaps = filled(channel)
     if channel.coupling == "ac":

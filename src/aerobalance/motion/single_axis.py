@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aerobalance.dynamics.driven_modes import DrivenModes
 from aerobalance.dynamics.single import Dynamics
@@ -12,6 +13,7 @@ from aerobalance.motion.platform import PlatformMotion, SystematicParameter, dri
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.resampling import held_by_delays
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,6 +35,8 @@ class GroundMotion:
         and gravity; the last two less what they do in the zero of the loads; slopes have shape (n,).
     gravity_on_zero
         Gravity at the zero of the recording's loads, along the component [m/s^2].
+    delays
+        Times by which its sensor, and the angles that move, lag the clock [s].
     """
 
     specific_force: Array
@@ -41,6 +45,7 @@ class GroundMotion:
     assumptions: tuple[str, ...] = ()
     unknowns: tuple[SystematicParameter, ...] = ()
     gravity_on_zero: float = 0.0
+    delays: tuple[float, ...] = ()
 
     @classmethod
     def of(
@@ -77,6 +82,7 @@ class GroundMotion:
             assumptions=whole.assumptions,
             unknowns=tuple(item for item in unknowns if item.slope.any()),
             gravity_on_zero=float(whole.gravity_on_zero[column]),
+            delays=whole.delays,
         )
 
     def moved(self, changes: Array) -> GroundMotion:
@@ -87,6 +93,11 @@ class GroundMotion:
     def force(self, mass: float) -> Array:
         """Force on the moving mass in the frame of the ground end, M g sin(theta) - M x1'', shape (n,) [N]."""
         return -mass * self.specific_force
+
+    def unread_at(self, delay: float, *, interval: float) -> NDArray[np.bool_]:
+        """As for `PlatformMotion`."""
+        lags = [delay - own for own in self.delays] if np.ptp(self.specific_force) > 0 else []
+        return held_by_delays(self.specific_force.size, delays=lags, interval=interval)
 
 
 def load_from_ground(motion: GroundMotion, dynamics: Dynamics, *, rate: float, load_delay: float = 0.0) -> Array:

@@ -102,6 +102,12 @@ def mass_unit(component: str) -> str:
     return "kg*m" if component in MOMENTS else "kg"
 
 
+def density_unit(component: str) -> str:
+    """Return the unit of a spectral density of a load component."""
+    unit = si_unit(component)
+    return f"({unit})^2/Hz" if "*" in unit else f"{unit}^2/Hz"
+
+
 def driving_axis(component: str) -> str:
     """Return the axis along which the ground drives a component taken alone: a force's own, aft for moments."""
     return FORCE_AXES.get(component, "aft")

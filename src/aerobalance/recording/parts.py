@@ -65,6 +65,11 @@ class Extent:
     end: float = 1.0
     means: Mapping[str, float] = field(default_factory=dict)
 
+    @property
+    def is_whole(self) -> bool:
+        """Whether it is the whole record."""
+        return self.begin <= 0 and self.end >= 1
+
 
 @dataclass(frozen=True, slots=True)
 class Part:

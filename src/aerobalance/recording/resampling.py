@@ -30,6 +30,9 @@ EDGE: Final = 12
 AROUND: Final = 200
 """Samples either side of a gap that its readings are predicted from."""
 
+PLACES: Final = 6
+"""Decimal places of a sampling interval beyond which a place is rounding."""
+
 EXACT: Final = 1e-9
 """Share of a channel's variance that its samples are taken to be exact to when a gap is filled."""
 
@@ -112,6 +115,15 @@ def fractional_delay(series: Array, *, delay: float, interval: float) -> Array:
     return CubicSpline(np.arange(fine.shape[0]) / FINE, fine)(place)
 
 
+def held_by_delays(count: int, *, delays: Sequence[float], interval: float) -> NDArray[np.bool_]:
+    """Where `fractional_delay` by any of some times [s] holds a series, over a sample beyond its ends, (count,)."""
+    held = np.zeros(count, dtype=bool)
+    for delay in delays:
+        place = np.arange(count) - delay / interval
+        held |= (place < -1.0) | (place > count)
+    return held
+
+
 def align_channels(loads: Array, channels: Sequence[Channel], *, to: Channel, interval: float) -> Array:
     """Return loads at the instants at which one channel was sampled, shape (samples, n).
 
@@ -135,6 +147,38 @@ def align_channels(loads: Array, channels: Sequence[Channel], *, to: Channel, in
             for column, delay in zip(loads.T, delays, strict=True)
         ]
     )
+
+
+def on_one_delay(readings: Array, channels: Sequence[Channel], *, delay: float, interval: float) -> Array:
+    """Return readings with gaps as if all their channels had one delay [s], shape (n, c).
+
+    What is interpolated with a missing reading is missing, as is what lies before the first or after the last.
+
+    Parameters
+    ----------
+    readings
+        Shape (n, c); NaN where one is missing.
+    channels
+        The c channels.
+    delay
+        The delay that all are brought to [s].
+    interval
+        Time between samples [s].
+    """
+    moved, count = readings, readings.shape[0]
+    for index, channel in enumerate(channels):
+        by = delay - channel.delay
+        known = np.isfinite(readings[:, index])
+        if not by or not known.any():
+            continue
+        moved = readings.copy() if moved is readings else moved
+        late = round(by / interval, PLACES)
+        place = np.arange(count) - late
+        gap = ~known if late == round(late) else np.convolve(~known, np.ones(2 * REACH), "same") > 0
+        lost = (place < -1) | (place > count) | gap[np.clip(np.ceil(place).astype(np.intp), 0, count - 1)]
+        filled = interpolate_gaps_linearly(readings[:, index])
+        moved[:, index] = np.where(lost, np.nan, fractional_delay(filled, delay=by, interval=interval))
+    return moved
 
 
 # Gaps are filled in three ways, as three things differ. A load is divided by the balance's response, so straight lines

@@ -47,7 +47,7 @@ def corrected(recording: Recording) -> Recording:
     FitError
         A channel is sensitive to another one that is not recorded, or has no reading.
     """
-    channels = {name: _unfiltered(channel, recording.rate) for name, channel in recording.channels.items()}
+    channels = {name: _unfiltered(channel, recording) for name, channel in recording.channels.items()}
     straight = {name: _straightened(channel, channels, recording) for name, channel in channels.items()}
     if all(straight[name] is channel for name, channel in recording.channels.items()):
         return recording
@@ -55,11 +55,13 @@ def corrected(recording: Recording) -> Recording:
     return replace(recording, channels=straight, declared=declared)
 
 
-def _unfiltered(channel: Channel, rate: float) -> Channel:
+def _unfiltered(channel: Channel, recording: Recording) -> Channel:
     if channel.filter is None:
         return channel
-    known = ~channel.missing
+    known, rate = ~channel.missing, recording.rate
     if not known.any():
+        if not recording.extent.is_whole:  # it lies in a gap
+            return replace(channel, filter=None)
         raise FitError(f"channel {channel.name} has no reading, so its filter cannot be undone")
     filled = interpolate_gaps_linearly(channel.values)
     motion = unit_inside(channel.name) in ("m/s^2", "rad/s^2", "rad/s", "rad")
@@ -179,3 +181,16 @@ def high_pass(corner: float) -> Transfer:
         return np.asarray(1j * frequency / (1j * frequency + corner), dtype=np.complex128)
 
     return response
+
+
+def angles_of(recording: Recording, *, delay: float) -> tuple[Array, Array]:
+    """Pitch and roll as if they were read with a delay [s], gaps bridged by straight lines, (n,) each [rad]."""
+    angles = []
+    for name in ("pitch", "roll"):
+        if name not in recording:
+            angles.append(np.zeros(recording.samples))
+            continue
+        one = recording.channel(name)
+        values = interpolate_gaps_linearly(one.values)
+        angles.append(fractional_delay(values, delay=delay - one.delay, interval=1 / recording.rate))
+    return angles[0], angles[1]

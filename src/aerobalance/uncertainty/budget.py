@@ -20,6 +20,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.estimation.error_sources import undivided
+from aerobalance.estimation.force_smoother import HIDDEN
 from aerobalance.estimation.result import ComponentForce, ForceSummary
 from aerobalance.estimation.sums import ForceSums, Key, SpectrumSums, segment_length
 from aerobalance.recording.blas_threads import one_blas_thread
@@ -51,6 +52,7 @@ SETTINGS: Final = BudgetSettings()
 REMEDIES: Final[Mapping[str, str]] = {
     "noise of the readings": "a quieter load channel (more excitation, a better amplifier, shielding)",
     "noise of the ground motion": "a quieter accelerometer or inclinometer",
+    HIDDEN: "a record without gaps",
     "what the model does not explain": "a model that holds there: identify again, with more modes",
     "size and instant of steps": "a longer record on both sides of the steps",
     "which side of a step a sample is on": "a higher sampling rate",

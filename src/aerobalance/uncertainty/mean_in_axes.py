@@ -42,6 +42,8 @@ class Flow:
         The same of it [Pa].
     known
         Whether table or recording say the angles; else they are taken as zero.
+    by_sensors
+        Covariance of both angles by what the sensors that they are from have wrong in all runs, shape (2, 2) [rad^2].
     """
 
     alpha: float = 0.0
@@ -52,6 +54,7 @@ class Flow:
     u_pressure: float = 0.0
     u_pressure_run: float = 0.0
     known: bool = True
+    by_sensors: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,11 +131,12 @@ def mean_in_axes(
 
     def in_wind(given: ResolvedLoads, kind: str) -> ResolvedLoads:
         u = {"common": flow.u_angle, "run": flow.u_angle_run}.get(kind, 0.0)
+        own = u**2 * np.eye(2) + (np.array(flow.by_sensors) if kind == "common" else 0.0)
         return wind_loads(
             in_body(given, kind),
             angle_of_attack=flow.alpha,
             sideslip=flow.beta,
-            angle_covariance=u**2 * np.eye(2),
+            angle_covariance=own,
         )
 
     units = tuple(si_unit(name) for name in COMPONENTS)

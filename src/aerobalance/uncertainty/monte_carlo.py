@@ -27,7 +27,7 @@ from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.component_force import Method, estimated
 from aerobalance.estimation.error_sources import Noise, Systematic
-from aerobalance.estimation.force_smoother import LinearSmoother
+from aerobalance.estimation.force_smoother import HIDDEN, LinearSmoother
 from aerobalance.estimation.noise_draws import NoiseDraws
 from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.record import BalanceRecord, ComponentRecord
@@ -284,7 +284,7 @@ class _Trial:
 
     def others(self) -> Iterator[Mapping[str, Array]]:
         """Errors that the force takes over as they are: a gain, a zero, an offset, and what is drawn as noise."""
-        done = (self.parameters, *SIZES, *NOISES)
+        done = (self.parameters, *SIZES, *NOISES, HIDDEN)
         parts = [part for part in self.estimate.contributions if part.name not in done]
         held = [part for part in parts if isinstance(part, Systematic)]
         numbers = [drawn_numbers(self.generator, part.covariance, self.draws) for part in held]
@@ -322,7 +322,7 @@ def _summed_up(
     energies["all together"] = [_mean_square(error) for error in whole]
     squares = {name: own**2 for name, own in budget_of(estimate.contributions).items()}
     squares["all together"] = sum(squares.values())
-    squares[" and ".join(NOISES)] = sum(squares.get(name, 0.0) for name in NOISES)
+    squares[" and ".join(NOISES)] = sum(squares.pop(name, 0.0) for name in (*NOISES, HIDDEN))
     rows = []
     for name, energy in energies.items():
         level = float(np.mean(energy))

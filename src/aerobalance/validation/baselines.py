@@ -29,7 +29,7 @@ from aerobalance.recording.gravity import gravity_share
 from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import fractional_delay, interpolate_gaps_linearly
-from aerobalance.recording.sensors import corrected
+from aerobalance.recording.sensors import angles_of, corrected
 from aerobalance.validation.fir_inverse import ORDER, MeasuredResponse, fir_inverse, fit_frequencies, undo
 from aerobalance.validation.scores import Truth
 
@@ -114,7 +114,7 @@ ZERO_PHASE: Final = "no delay; the record is continued by odd reflection at its 
 
 def raw_reading(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
     """Take the balance load for the force, less the weight where the pitch is known."""
-    load = recording.channel(dynamics.component).values
+    load = _load(recording, dynamics)
     weight = _weight(recording, dynamics, settings)
     words = "as read" if weight is None else "as read, less the weight"
     return BaselineEstimate("raw reading", load - (0.0 if weight is None else weight), words, "no delay")
@@ -425,11 +425,10 @@ def _reading(recording: Recording, dynamics: ModalModel, settings: BaselineSetti
 
 
 def _weight(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> Array | None:
-    """Weight along the component [N]; None where the pitch is not known."""
+    """Weight along the component at the load's instants [N]; None where the pitch is not known."""
     if "pitch" not in recording:
         return None
-    pitch = interpolate_gaps_linearly(recording.channel("pitch").values)
-    roll = interpolate_gaps_linearly(recording.channel("roll").values) if "roll" in recording else np.zeros(pitch.size)
+    pitch, roll = angles_of(recording, delay=recording.channel(dynamics.component).delay)
     return _balance(dynamics).mass * settings.gravity * gravity_share(dynamics.component, pitch=pitch, roll=roll)
 
 

@@ -158,6 +158,8 @@ def _names(recording: Recording, model: BalanceDynamics, components: Sequence[st
         raise FitError(f"the dynamics have no {lacking[0]}; they have {', '.join(model.components)}")
     if components is None:
         components = model.estimable(recording.channels) or model.components
+    if not components:
+        raise FitError(f"no component to compare: name some of {', '.join(model.components)}")
     for name in components:
         recording.channel(name)  # whose error tells what the recording has
     return tuple(components)

@@ -29,6 +29,7 @@ from aerobalance.recording.components import MOMENTS
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.sensors import angles_of
 from aerobalance.validation.baselines import (
     THIS,
     ZERO_PHASE,
@@ -87,7 +88,7 @@ class _Component:
     @property
     def quiet(self) -> Recording:
         """Its own reading less what gravity and the ground's motion put on the balance, and nothing else."""
-        values = self.filled[:, self.place] - self.record.from_ground[:, self.place]
+        values = self.record.without_ground(self.filled, on_clock_of=self.place)[:, self.place]
         own = self.record.channels[self.place]
         channel = Channel(own.name, values, own.unit, noise=own.noise)
         return replace(self.record.recording, channels={own.name: channel})
@@ -129,8 +130,7 @@ class _Component:
         load, whole, model = self.filled[:, self.place], self.record.recording, self.record.dynamics
         if not model.moved_by.any() or "pitch" not in whole:
             return BaselineEstimate("raw reading", load, "as read", "no delay")
-        pitch = np.nan_to_num(whole.channel("pitch").values)
-        roll = np.nan_to_num(whole.channel("roll").values) if "roll" in whole else np.zeros(pitch.size)
+        pitch, roll = angles_of(whole, delay=self.record.channels[self.place].delay)
         weight = model.weight(self.name, pitch=pitch, roll=roll, gravity=settings.gravity)
         return BaselineEstimate("raw reading", load - weight, "as read, less the weight", "no delay")
 
@@ -168,7 +168,7 @@ class _Component:
     def differences(self, recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
         """X + D X' + A X'' with three-point central differences of all readings."""
         model, (damping, inertia) = self.record.dynamics, self.record.dynamics.quadratic
-        felt, interval = self.filled - self.record.from_ground, self.record.interval
+        felt, interval = self.record.without_ground(self.filled, on_clock_of=self.place), self.record.interval
         rate = np.gradient(felt, interval, axis=0)
         acceleration = np.zeros_like(felt)
         acceleration[1:-1] = np.diff(felt, 2, axis=0) / interval**2

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.resampling import fractional_delay
 
 END_SHARE: Final = 0.05
 """Share of a record that is left out of the scores at each end."""
@@ -130,7 +131,10 @@ def find_jumps(values: Array, *, width: int) -> tuple[int, ...]:
 
 
 def truth_on_clock(recording: Recording, truth: Recording, component: str) -> Array:
-    """Values of the truth at the samples of a recording, shape (n,) [N].
+    """Values of the truth at the instants at which a recording's load was read, shape (n,) [N].
+
+    Where the channel of the load states a delay, these are so much earlier than the time beside a sample: so is the
+    force that the estimators give.
 
     Parameters
     ----------
@@ -172,4 +176,4 @@ def truth_on_clock(recording: Recording, truth: Recording, component: str) -> Ar
     missing = int(np.count_nonzero(~np.isfinite(found)))
     if missing:
         raise FitError(f"{truth.name}: {missing} sample(s) of {component} are missing; the truth must be whole")
-    return found
+    return fractional_delay(found, delay=recording.channel(component).delay, interval=1 / recording.rate)

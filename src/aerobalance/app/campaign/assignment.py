@@ -9,7 +9,16 @@ from datetime import date, datetime
 from pathlib import Path
 from typing import Final
 
-from aerobalance.app.campaign.definition import FILE_COLUMNS, Axes, Cell, Definition, ModelOn, Names, SetUp
+from aerobalance.app.campaign.definition import (
+    FILE_COLUMNS,
+    Axes,
+    Cell,
+    Definition,
+    ModelOn,
+    Names,
+    SetUp,
+    instant,
+)
 from aerobalance.app.campaign.places import folder_of, is_address, joined, listed, matching, name_of
 from aerobalance.app.campaign.run_table import cell, read_rows
 from aerobalance.recording.errors import FitError, ReadError
@@ -17,8 +26,13 @@ from aerobalance.recording.errors import FitError, ReadError
 NO_RECORDINGS: Final = frozenset({".json", ".toml", ".html", ".md", ".pdf", ".py", ".png", ".jpg", ".svg", ".log"})
 """Endings of files that are no runs where a folder is given."""
 
-RESERVED: Final = frozenset({"run_name", "status", "reason", "verdict", "doubts", "warnings"})
-"""Columns that a result has by itself."""
+OF_RESULTS: Final = re.compile(
+    "run_name|place|setup|zero_from|(balance|dynamics)_file|status|reason|verdict|doubts|doubt_kinds|warnings|report"
+    "|duration_s|rate_Hz|samples|alpha_deg|beta_deg|pressure_Pa|steps_.*|resolved_to_.*|natural_frequency_.*"
+    "|((u|u_run|u_zero|dof)_)?(C(NF|PM|SF|YM|RM|AF|L|D|Y)|C[PYR]M_wind"
+    "|(balance|body|wind|rms|largest|largest_step|least|sample|zero|zero_drift)_.*_(N|Nm)|[kb]_change_.*)"
+)
+"""Names of columns that a result has by itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,6 +120,7 @@ def assigned(definition: Definition, folder: str) -> tuple[Run, ...]:
         No file is a run, the table cannot be read, or a name that is given once for all is missing.
     """
     marked = _in_order(_runs(definition, folder))
+    _check_where(definition.setups, marked, folder)
     zeros = _in_order(_files(definition.zeros.files, definition.zeros.pattern, folder)) if definition.zeros else []
     tares = _in_order(_files(definition.tares.files, definition.tares.pattern, folder)) if definition.tares else []
     names = _names([one.file for one in marked])
@@ -113,6 +128,16 @@ def assigned(definition: Definition, folder: str) -> tuple[Run, ...]:
         _with_all(definition, folder, name=name, place=place, marked=one, zeros=zeros, tares=tares)
         for place, (name, one) in enumerate(zip(names, marked, strict=True), start=1)
     )
+
+
+def _check_where(setups: Sequence[SetUp], marked: Sequence[Marked], folder: str) -> None:
+    """Make sure that set-ups are chosen by columns that there are."""
+    there = dict.fromkeys(key for one in marked for key in one.columns)
+    for number, one in enumerate(setups):
+        for key in one.where:
+            if key not in there:
+                what = f"names {key}, which no run has as a column; there are: {', '.join(there) or 'none'}"
+                raise ReadError(folder, f"setups[{number}].where", what)
 
 
 def _with_all(
@@ -126,8 +151,12 @@ def _with_all(
     tares: Sequence[Marked],
 ) -> Run:
     columns = marked.columns
-    chosen, setup = _setup(definition.setups, columns)
     faults = []
+    try:
+        chosen, setup = _setup(definition.setups, columns)
+    except FitError as problem:
+        chosen, setup = {}, 0
+        faults.append(str(problem))
 
     def own(key: str) -> str | None:
         given = columns.get(key)
@@ -150,7 +179,7 @@ def _with_all(
         wind_off = tuple(one.file for one in tares if _agree(one, marked, definition.tares.match))
         if not wind_off:
             faults.append(f"no wind-off recording of [tares] agrees in {', '.join(definition.tares.match)}")
-    if own("dynamics") is None:
+    if own("dynamics") is None and not faults:
         faults.append("no dynamics are given: name them under [[setups]], in a column dynamics, or with --dynamics")
     axes = chosen.get("axes")
     return Run(
@@ -173,13 +202,19 @@ def _with_all(
 
 
 def _setup(setups: Sequence[SetUp], columns: Mapping[str, Cell]) -> tuple[dict[str, object], int]:
-    """What the set-ups say of a run, and the last of them that holds."""
+    """What the set-ups say of a run, and the last of them that holds.
+
+    Raises
+    ------
+    FitError
+        The run does not say what it takes to tell whether one holds.
+    """
     chosen: dict[str, object] = {}
     last = 0
     for number, one in enumerate(setups):
-        if not _reached(one.since, columns):
-            continue
         if any(not _same(columns.get(key), wanted) for key, wanted in one.where.items()):
+            continue
+        if not _reached(one.since, columns):
             continue
         given = {key: getattr(one, key) for key in ("balance", "dynamics", "map", "noise_record", "axes")}
         chosen |= {key: value for key, value in given.items() if value is not None}
@@ -188,26 +223,43 @@ def _setup(setups: Sequence[SetUp], columns: Mapping[str, Cell]) -> tuple[dict[s
 
 
 def _reached(since: int | float | str | date | None, columns: Mapping[str, Cell]) -> bool:
-    """Whether a run comes at or after a number of run or a date; one that does not say so comes before."""
+    """Whether a run comes at or after a number of run or a date."""
     if since is None:
         return True
     if isinstance(since, int | float):
         number = columns.get("run")
-        return isinstance(number, int | float) and number >= since
+        if not isinstance(number, int | float):
+            raise FitError(
+                f"a set-up holds from run {since:g} on, and this run has no number: give it one in a column run (or a "
+                "group run in the pattern)"
+            )
+        return number >= since
     given = columns.get("date")
-    return isinstance(given, str) and given != "" and _instant(given) >= _instant(since)
-
-
-def _instant(given: str | date) -> str:
-    """A date or a date with time as text that is in order when it is in order."""
-    if isinstance(given, datetime | date):
-        return given.isoformat()
+    if not isinstance(given, str):
+        raise FitError(f"a set-up holds from {since} on, and this run has no date: give it one in a column date")
     try:
-        return (datetime.fromisoformat(given) if len(given) > 10 else date.fromisoformat(given)).isoformat()
-    except ValueError:
-        raise ReadError(
-            "test", "date", f"must be a date such as 2026-03-12 or 2026-03-12T10:15, not {given!r}"
-        ) from None
+        return _not_before(instant(given), instant(since))
+    except ValueError as problem:
+        raise FitError(f"a set-up holds from {since} on, and the run is of {given}: {problem}") from None
+
+
+def _not_before(given: date, since: date) -> bool:
+    """Whether a date, or a date with time, is that of another or comes after it.
+
+    Raises
+    ------
+    ValueError
+        That cannot be told.
+    """
+    if not isinstance(since, datetime):
+        return (given.date() if isinstance(given, datetime) else given) >= since
+    if not isinstance(given, datetime):
+        if given == since.date():
+            raise ValueError("give the time too")
+        return given > since.date()
+    if (given.tzinfo is None) != (since.tzinfo is None):
+        raise ValueError("give both with a time zone, or none")
+    return given >= since
 
 
 def _same(one: Cell | None, other: Cell | None) -> bool:
@@ -255,7 +307,7 @@ def _zeros_of(definition: Definition, run: Marked, zeros: Sequence[Marked]) -> t
 def _runs(definition: Definition, folder: str) -> list[Marked]:
     """The runs with their columns, in the order in which they are given."""
     rules = definition.runs
-    excluded = {name_of(place) for pattern in _each(rules.exclude) for place in matching(joined(folder, pattern))}
+    excluded = {name_of(place) for pattern in _each(rules.exclude) for place in matching(folder, pattern)}
     found: dict[str, dict[str, Cell]] = {}
     if rules.files is not None:
         for one in _files(rules.files, rules.pattern, folder, optional=rules.pattern is not None):
@@ -282,8 +334,9 @@ def _runs(definition: Definition, folder: str) -> list[Marked]:
     kept = [Marked(file, columns) for file, columns in found.items() if name_of(file) not in excluded]
     if not kept:
         raise ReadError(folder, "runs", "no file is a run: check files, table and exclude")
+    taken = {definition.angles.alpha, definition.angles.beta, definition.pressure and definition.pressure.column}
     for one in kept:
-        clash = sorted(RESERVED & set(one.columns))
+        clash = sorted(name for name in one.columns if name not in taken and OF_RESULTS.fullmatch(name))
         if clash:
             raise ReadError(folder, "runs", f"a column cannot be called {clash[0]}: results have one of that name")
     return kept
@@ -295,7 +348,7 @@ def _each(names: Names | None) -> list[str]:
 
 def _files(names: Names | None, pattern: str | None, folder: str, *, optional: bool = False) -> list[Marked]:
     """Files by names and patterns, with what their own names say."""
-    places = [place for name in _each(names) for place in matching(joined(folder, name))]
+    places = [place for name in _each(names) for place in matching(folder, name)]
     if names is not None and not places:
         raise ReadError(folder, "", f"no file is named by {', '.join(_each(names))}")
     found = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from dataclasses import replace as replaced
@@ -241,9 +242,10 @@ def _reduced(
     changed = bool(done) or text != results.manifest or not exists(results.place(SUMMARY))
     if changed:
         write_summary(campaign, results)
-        results.write_text(text, MANIFEST)
     if page is not None and (changed or not exists(results.place(PAGE))):
         page(campaign)
+    if changed:  # last, as it tells which rows tables and page are of
+        results.write_text(text, MANIFEST)
     return campaign
 
 
@@ -328,6 +330,7 @@ def manifest(campaign: Campaign) -> Mapping[str, Any]:
         "notes": campaign.definition.notes,
         "runs": len(campaign.rows),
         "names": [row["run_name"] for row in campaign.rows],
+        "rows_sha256": hashlib.sha256(json_text({"rows": campaign.rows}).encode()).hexdigest(),
         "reduced": len(campaign.reduced),
         "set_aside": campaign.aside,
         "flags": [asdict(flag) for flag in campaign.quality.flags],

@@ -122,6 +122,22 @@ class Axes(Strict):
         return three_numbers(given)
 
 
+def instant(given: str | date) -> date:
+    """Return a date, or a date with time, of its text.
+
+    Raises
+    ------
+    ValueError
+        It is none.
+    """
+    if isinstance(given, date):
+        return given
+    try:
+        return datetime.fromisoformat(given) if len(given) > 10 else date.fromisoformat(given)
+    except ValueError:
+        raise ValueError(f"must be a date such as 2026-03-12 or 2026-03-12T10:15, not {given!r}") from None
+
+
 class SetUp(Strict):
     """Table ``[[setups]]``: what holds from a run or a date on, or for runs with given columns; later ones win."""
 
@@ -132,6 +148,16 @@ class SetUp(Strict):
     map: FileName | None = None
     noise_record: FileName | None = None
     axes: Axes | None = None
+
+    @field_validator("since")
+    @classmethod
+    def _date(cls, given: object) -> object:
+        if isinstance(given, str):
+            try:
+                instant(given)
+            except ValueError as problem:
+                raise ValueError(f"{problem}; a number of run is written without quotes") from None
+        return given
 
 
 class Zeros(Strict):

@@ -10,6 +10,7 @@ import posixpath
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from glob import escape
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any, Final, TypeVar
@@ -98,13 +99,16 @@ def exists(place: str) -> bool:
     return bool(_asked(place, "exists"))
 
 
-def matching(pattern: str) -> list[str]:
-    """Return the places that match a pattern such as ``runs/*.h5``, sorted by name.
+def matching(folder: str, pattern: str) -> list[str]:
+    """Return the places in a folder that match a pattern such as ``runs/*.h5``, sorted by name.
 
-    A name without wildcards is returned as it is, whether there is such a file or not.
+    A name without wildcards is returned as it is, whether there is such a file or not, and so is one that is there:
+    ``run[2].h5`` may be a file. The name of the folder is no pattern.
     """
-    if not any(sign in pattern for sign in "*?["):
-        return [pattern]
+    whole = joined(folder, pattern)
+    if not any(sign in pattern for sign in "*?[") or exists(whole):
+        return [whole]
+    pattern = joined(escape(folder), pattern)
     if not is_address(pattern):
         path = Path(pattern)
         root = Path(path.anchor)
@@ -120,7 +124,7 @@ def matching(pattern: str) -> list[str]:
 
 def listed(folder: str) -> list[str]:
     """Return the files of a folder that are not hidden, sorted by name."""
-    return [place for place in matching(joined(folder, "*")) if not name_of(place).startswith(".")]
+    return [place for place in matching(folder, "*") if not name_of(place).startswith(".")]
 
 
 def fingerprint(place: str) -> str:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from aerobalance.app.campaign.definition import (
     Reference,
     Spectrum,
 )
+from aerobalance.app.campaign.run_table import PRESSURES
 from aerobalance.balance.calibration.fit import Calibration
 from aerobalance.balance.loads import Loads
 from aerobalance.balance.matrix import BalanceMatrix
@@ -26,12 +28,16 @@ from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.resonance_change import ResonanceChange, resonance_changes
 from aerobalance.estimation.force import ForceWork
 from aerobalance.estimation.forces import ForceSettings
+from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.frames import Frame, angles_of_attitude
 from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.budget import BandLevel, Scalar, band_levels, scalars
 from aerobalance.uncertainty.mean_in_axes import Flow, MeanInAxes, ReferenceSizes, mean_in_axes
 from aerobalance.uncertainty.mean_loads import MeanLoads, mean_loads
+
+ANGLE_STEP: Final = 1e-6
+"""Step of the central differences by which angles are differentiated [rad]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -162,7 +168,10 @@ def reduce_run(
     model = dynamics_of(dynamics)
     gravity = settings.force.gravity
     means = {name: float(np.nanmean(one.values)) for name, one in run.channels.items() if not one.missing.all()}
-    flow = flow_of(columns, means, settings)  # before the long work
+    pressure, u_pressure = pressure_of(settings.pressure, columns, run)  # before the long work
+    u_attitude = [_held(run.channel(name)) if name in means else 0.0 for name in ("pitch", "roll")]
+    flow = flow_of(columns, means, settings, u_attitude=u_attitude)
+    flow = replace(flow, pressure=pressure, u_pressure=u_pressure)
 
     def made_ready(given: Recording | Loads) -> Recording | Loads:
         if balance is None or isinstance(given, Loads):
@@ -202,44 +211,69 @@ def sizes_of(reference: Reference | None) -> ReferenceSizes | None:
     return None if reference is None else ReferenceSizes(reference.area, reference.chord, reference.span)
 
 
-def flow_of(columns: Mapping[str, object], means: Mapping[str, float], settings: RunSettings) -> Flow:
-    """Angles of the body and dynamic pressure of a run, from its columns or from the means of its channels.
+def flow_of(
+    columns: Mapping[str, object],
+    means: Mapping[str, float],
+    settings: RunSettings,
+    *,
+    u_attitude: Sequence[float] = (0.0, 0.0),
+) -> Flow:
+    """Angles of the body of a run, from its columns or from the means of its channels; no pressure yet.
 
-    The channels have the attitude of the balance; the body's is that and its place in the balance.
+    The channels have the attitude of the balance; the body's is that and its place in the balance. `u_attitude` is
+    what pitch and roll are wrong by in all runs, their standard uncertainties [rad].
 
     Raises
     ------
     ValueError
-        A column or channel that is named is not there, or is no number.
+        A column that is named is not there, or is no number.
     """
     body = frames_of(settings.axes)[0]
-    alpha, beta = angles_of_attitude(means.get("pitch", 0.0), means.get("roll", 0.0), body)
+    pitch, roll = means.get("pitch", 0.0), means.get("roll", 0.0)
+    alpha, beta = angles_of_attitude(pitch, roll, body)
     found = {"alpha": alpha, "beta": beta}
     told = "pitch" in means
-    for name, wanted in (("alpha", settings.alpha), ("beta", settings.beta)):
+    slopes = _slopes_of_attitude(pitch, roll, body)
+    for row, (name, wanted) in enumerate((("alpha", settings.alpha), ("beta", settings.beta))):
         key = name if wanted is None else wanted
         if key in columns:
             given = columns[key]
             if not isinstance(given, int | float) or isinstance(given, bool):
                 raise ValueError(f"column {key} must be a number of degrees, not {given!r}")
             found[name] = float(np.radians(given))
+            slopes[row] = 0.0
             told = True
         elif wanted is not None:
             raise ValueError(f"{name} should be in column {wanted}, which this run does not have")
+    (aa, ab), (ba, bb) = (slopes @ np.diag(np.square(u_attitude)) @ slopes.T).tolist()
     return Flow(
         alpha=found["alpha"],
         beta=found["beta"],
         u_angle=float(np.radians(settings.u_angle)),
         u_angle_run=float(np.radians(settings.u_angle_run)),
-        pressure=pressure_of(settings.pressure, columns, means),
-        u_pressure=0.0 if settings.pressure is None else settings.pressure.u,
         u_pressure_run=0.0 if settings.pressure is None else settings.pressure.u_run,
         known=told,
+        by_sensors=((aa, ab), (ba, bb)),
     )
 
 
-def pressure_of(rule: Pressure | None, columns: Mapping[str, object], means: Mapping[str, float]) -> float | None:
-    """Dynamic pressure of a run [Pa]; None where none is asked for.
+def _slopes_of_attitude(pitch: float, roll: float, body: Frame) -> Array:
+    """Derivatives of the angles of the body by pitch and roll of its balance, shape (2, 2) [1]."""
+
+    def by(step: tuple[float, float]) -> Array:
+        ahead, behind = (angles_of_attitude(pitch + k * step[0], roll + k * step[1], body) for k in (1, -1))
+        return np.array([ahead[0] - behind[0], ahead[1] - behind[1]]) / (2 * ANGLE_STEP)
+
+    return np.column_stack([by((ANGLE_STEP, 0.0)), by((0.0, ANGLE_STEP))])
+
+
+def _held(channel: Channel) -> float:
+    """Standard uncertainty of the mean of a channel by its zero and its gain, in its unit."""
+    return float(np.hypot(channel.zero_uncertainty, channel.relative_uncertainty * np.nanmean(channel.values)))
+
+
+def pressure_of(rule: Pressure | None, columns: Mapping[str, object], run: Recording) -> tuple[float | None, float]:
+    """Dynamic pressure of a run and its standard uncertainty that is the same in all [Pa]; None where not asked for.
 
     Raises
     ------
@@ -247,15 +281,31 @@ def pressure_of(rule: Pressure | None, columns: Mapping[str, object], means: Map
         The column or the channel is missing, or is no pressure.
     """
     if rule is None:
-        return None
+        return None, 0.0
     if rule.value is not None:
-        return rule.value
+        return rule.value, rule.u
+    of_sensor = 0.0
     if rule.column is not None:
         found, where = columns.get(rule.column), f"column {rule.column}"
     else:
-        found, where = means.get(rule.channel or ""), f"channel {rule.channel}"
+        name = rule.channel or ""
+        where = f"channel {name}"
+        found, of_sensor = _mean_pressure(run.channel(name)) if name in run else (None, 0.0)
     if found is None:
         raise ValueError(f"the dynamic pressure should be in {where}, which this run does not have")
     if not isinstance(found, int | float) or isinstance(found, bool) or not 0 < found < np.inf:
         raise ValueError(f"the dynamic pressure in {where} must be above 0 Pa, not {found!r}")
-    return float(found)
+    return float(found), float(np.hypot(rule.u, of_sensor))
+
+
+def _mean_pressure(channel: Channel) -> tuple[float | None, float]:
+    """Mean of a channel in Pa, as its file has it in its own unit, and its uncertainty; None without a reading."""
+    if channel.unit not in PRESSURES:
+        raise ValueError(
+            f"the dynamic pressure should be in channel {channel.name}, which is in {channel.unit or 'no unit'}; "
+            f"allowed: {', '.join(PRESSURES)}"
+        )
+    if channel.missing.all():
+        return None, 0.0
+    factor = PRESSURES[channel.unit]
+    return factor * float(np.nanmean(channel.values)), factor * _held(channel)

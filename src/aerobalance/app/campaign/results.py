@@ -145,8 +145,10 @@ class Results:
         self.write_text(text, "runs", f"{run}.json")
 
     def forget(self, run: str) -> None:
-        """Take away the record of a run, before what it tells of is written anew."""
+        """Take away what a run has, the record first, before it is written anew: not all of it may be."""
         self._remove("runs", f"{run}.json")
+        self._remove("reports", f"{run}.html")
+        self._remove(HISTORIES, run)
 
     def known(self, run: str, key: str) -> Row | None:
         """Return the row of a run that is done; None where there is none, or what it hangs on has changed."""
@@ -184,8 +186,6 @@ class Results:
         for run in sorted(self.recorded() - set(runs)):
             if self._record(run) is not None:
                 self.forget(run)
-                self._remove("reports", f"{run}.html")
-                self._remove(HISTORIES, run)
 
     def _remove(self, *names: str) -> None:
         place = self.place(*names)

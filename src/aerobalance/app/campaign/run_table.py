@@ -21,7 +21,7 @@ PRESSURES: Final = {
     "psi": 6894.757293168,
     "psf": 47.88025898,
 }
-"""Units of pressure of a table, in Pa."""
+"""Units of pressure of a table or a recording, in Pa."""
 
 DEGREES: Final = {"deg": 1.0, "°": 1.0, "rad": 57.29577951308232}
 """Units of angles of a table, in deg."""

@@ -10,6 +10,7 @@ from typing import Final
 
 from aerobalance.app.campaign.assignment import Run
 from aerobalance.app.campaign.campaign import Campaign, Prepared
+from aerobalance.app.campaign.definition import Definition
 from aerobalance.app.campaign.places import each_of, fingerprint, is_address
 from aerobalance.app.campaign.rows import REDUCED
 from aerobalance.io.locked_file import is_locked
@@ -25,8 +26,8 @@ Stand = tuple[int, int] | str | None
 FIRST: Final = 4
 """New runs that are reduced before results are shown for the first time; then twice as many, and so on."""
 
-State = dict[str, Stand]
-"""What files are like."""
+State = tuple[Definition, tuple[Run, ...], dict[str, Stand]]
+"""What a test says, its runs with what is said of them, and what their files are like."""
 
 
 def complete(run: Run) -> bool:
@@ -118,9 +119,11 @@ class Watch:
         return False
 
     def _state(self) -> State:
-        """What all files of the runs that there are are like now."""
-        places = sorted({place for run in self.prepare().runs for place in run.inputs})
-        return dict(zip(places, each_of(_stand, places, of_store=any(map(is_address, places))), strict=True))
+        """What the test, its runs, and all of their files are like now."""
+        found = self.prepare()
+        places = sorted({place for run in found.runs for place in run.inputs})
+        stands = each_of(_stand, places, of_store=any(map(is_address, places)))
+        return found.definition, found.runs, dict(zip(places, stands, strict=True))
 
 
 def _stand(place: str) -> Stand:

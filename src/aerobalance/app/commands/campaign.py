@@ -172,6 +172,12 @@ def watch(
     What is found is checked before it is read.
     """
     results = results_at(out)
+    shown = False
+
+    def show(found: Campaign) -> None:
+        nonlocal shown
+        write_page_of(found, refresh=max(1, round(every)) if heard is None else 0)
+        shown = True
 
     def reduce(ready: Callable[[Run], bool]) -> Campaign:
         found = reduce_runs(
@@ -181,9 +187,11 @@ def watch(
             balance=balance,
             engine=Engine(workers=workers),
             report=write_run_report,
+            page=show,
             ready=ready,
         )
-        write_page_of(found, refresh=max(1, round(every)) if heard is None else 0)
+        if not shown:  # that of an earlier call does not load itself again
+            show(found)
         if heard is not None:
             heard(found)
         return found

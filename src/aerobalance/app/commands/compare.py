@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -168,6 +168,7 @@ def _cell(value: float) -> str:
 def table_of(result: Result) -> list[Result]:
     """One row per rival and setting, one number per component; what could not be run has a reason instead."""
     parts: Mapping[str, Result] = result["components"]
+    percent = _in_percent(parts.values())
     order = dict.fromkeys((row["name"], row["setting"]) for part in parts.values() for row in part["rivals"])
     table = []
     for name, setting in order:
@@ -178,19 +179,23 @@ def table_of(result: Result) -> list[Result]:
                 if (row["name"], row["setting"]) != (name, setting):
                     continue
                 if row["lacking"] is None:
-                    numbers[component] = _judged_by(row)
+                    numbers[component] = _judged_by(row, percent=percent)
                 else:
                     reasons.setdefault(row["lacking"], []).append(component)
         table.append({"name": name, "setting": setting, "numbers": numbers, "not_run": reasons})
     return table
 
 
-def _judged_by(row: Result) -> float:
+def _in_percent(parts: Iterable[Result]) -> bool:
+    """Whether the table of all components is in percent of half range: only where each has one."""
+    return all(part["half_range"] is not None and part["half_range"]["value"] > 0 for part in parts)
+
+
+def _judged_by(row: Result, *, percent: bool) -> float:
     """What a row of one component puts into the table of all."""
     if "rms" not in row:
         return float(row["apart_from_this_estimator_rms"])
-    share = float(row["percent_of_half_range"]["rms"])
-    return share if np.isfinite(share) else float(row["rms"])
+    return float(row["percent_of_half_range"]["rms"] if percent else row["rms"])
 
 
 def words_for_table(result: Result) -> str:
@@ -198,7 +203,7 @@ def words_for_table(result: Result) -> str:
     parts = list(result["components"].values())
     if parts[0]["half_range"] is None:
         return f"no truth given; rms difference from {THIS}, each in its own unit"
-    if all(part["half_range"]["value"] > 0 for part in parts):
+    if _in_percent(parts):
         said = ", ".join(dict.fromkeys(part["half_range"]["from"] for part in parts))
         return f"rms deviation from the truth in percent of half range ({said}), {100 * END_SHARE:g} % at each end out"
     return f"rms deviation from the truth, each in its own unit, {100 * END_SHARE:g} % at each end out"

@@ -127,15 +127,15 @@ def modes_table(found: CoupledResult) -> str:
     return table_text("Modes; shapes and loads over half of range", heads, rows)
 
 
-def matrices_text(dynamics: CoupledDynamics, half_range: Array) -> list[str]:
-    """A and D with their uncertainties, a table each."""
+def matrices_text(dynamics: CoupledDynamics, half_range: Array | None) -> list[str]:
+    """A and D with their uncertainties, a table each; loads over half of range, or in N and N*m where that is None."""
     return [_matrix_table(dynamics, kind, half_range) for kind in ("inertia", "damping")]
 
 
-def _matrix_table(dynamics: CoupledDynamics, kind: str, half_range: Array) -> str:
-    """One matrix with its uncertainties; loads over half of range, so that all elements have one unit."""
+def _matrix_table(dynamics: CoupledDynamics, kind: str, half_range: Array | None) -> str:
+    """One matrix with its uncertainties; with loads over half of range all elements have one unit."""
     names, n = dynamics.components, len(dynamics.components)
-    ratio = half_range[None, :] / half_range[:, None]
+    ratio = np.ones((n, n)) if half_range is None else half_range[None, :] / half_range[:, None]
     inertia, damping, covariance = slow_matrices(dynamics)
     u = np.sqrt(np.diag(covariance)).reshape(2, n, n)[0 if kind == "inertia" else 1] * ratio
     values = (inertia if kind == "inertia" else damping) * ratio
@@ -146,7 +146,9 @@ def _matrix_table(dynamics: CoupledDynamics, kind: str, half_range: Array) -> st
         rows.append(["  u", *(f"{scale * value:.2g}" for value in u[i])])
     letter = "A" if kind == "inertia" else "D"
     slow = " of slow motion" if dynamics.internal else ""
-    return table_text(f"{letter} ({kind}){slow}, loads over half of range [{unit}]", ["", *names], rows)
+    loads = "loads in N and N*m, " if half_range is None else "loads over half of range "
+    words = f"elements in {unit}, with m or 1/m between a force and a moment" if half_range is None else f"[{unit}]"
+    return table_text(f"{letter} ({kind}){slow}, {loads}{words}", ["", *names], rows)
 
 
 def error_table(found: CoupledResult) -> str:

@@ -26,9 +26,9 @@ from aerobalance.identification.identify import identify
 from aerobalance.io import (
     read_table,
 )
-from aerobalance.io.dynamics_file import dynamics_payload, write_dynamics
+from aerobalance.io.dynamics_file import dynamics_payload, dynamics_units, write_dynamics
 from aerobalance.io.mass_file import read_weighing
-from aerobalance.recording.components import si_unit
+from aerobalance.recording.components import density_unit, si_unit
 from aerobalance.recording.errors import FitError, ReadError, warn_quality
 from aerobalance.recording.recording import Recording
 
@@ -103,6 +103,7 @@ def number_of_modes(given: str) -> int | Literal["auto"]:
 
 
 def _decay_details(recording: Recording, fit: DecayFit) -> Result:
+    density = density_unit(fit.dynamics.component)
     details: Result = {
         "damped_frequency": {"value": fit.damped_frequency, "u": fit.damped_frequency_uncertainty, "unit": "Hz"},
         "release": None if fit.release is None else {"value": fit.release[0], "u": fit.release[1], "unit": "s"},
@@ -116,7 +117,7 @@ def _decay_details(recording: Recording, fit: DecayFit) -> Result:
         ],
         "amplitude_dependence": _amplitude_details(fit),
         "amplitude_law": _law_details(fit),
-        "force_density": None if fit.force_density is None else {"value": fit.force_density, "unit": "N^2/Hz"},
+        "force_density": None if fit.force_density is None else {"value": fit.force_density, "unit": density},
         "residual_standard_deviation": {"value": fit.residual_deviation, "unit": si_unit(fit.dynamics.component)},
         "degrees_of_freedom": fit.degrees_of_freedom,
     }
@@ -127,11 +128,12 @@ def _decay_details(recording: Recording, fit: DecayFit) -> Result:
     except FitError as problem:
         details["reference"] = {"method": "extrema (7), (20)", "failed": str(problem)}
     else:
+        units = dynamics_units(fit.dynamics.component)
         details["reference"] = {
             "method": "extrema (7), (20)",
             "frequency": {"value": reference.frequency, "unit": "Hz"},
-            "stiffness": {"value": reference.stiffness, "unit": "N/m"},
-            "damping": {"value": reference.damping, "unit": "N*s/m"},
+            "stiffness": {"value": reference.stiffness, "unit": units["stiffness"]},
+            "damping": {"value": reference.damping, "unit": units["damping"]},
         }
     return details
 
@@ -226,6 +228,7 @@ def _dwell_details(recording: Recording, dynamics: Dynamics) -> Result:
         }
     except FitError as problem:
         return {"dwells": [], "reference": {"method": "(13)-(16)", "failed": str(problem)}}
+    units = dynamics_units(dynamics.component)
     checks = harmonic_check(recording, dwells, dynamics=dynamics)
     unsteady = [f"{check.frequency:.4g}" for check in checks if not check.steady]
     if unsteady:
@@ -250,8 +253,8 @@ def _dwell_details(recording: Recording, dynamics: Dynamics) -> Result:
             name: {
                 "method": f"(13)-(16), phase of the {name} motion",
                 "natural_frequency": {"value": fit.natural_frequency, "u": fit.u_natural_frequency, "unit": "Hz"},
-                "stiffness": {"value": fit.stiffness, "unit": "N/m"},
-                "damping": {"value": fit.damping, "u": fit.u_damping, "unit": "N*s/m"},
+                "stiffness": {"value": fit.stiffness, "unit": units["stiffness"]},
+                "damping": {"value": fit.damping, "u": fit.u_damping, "unit": units["damping"]},
             }
             for name, fit in fits.items()
         },

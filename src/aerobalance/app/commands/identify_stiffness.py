@@ -165,7 +165,7 @@ def _summary(
     """Tables for people."""
     parts = [
         _modes_text(found, identified),
-        *matrices_text(found, ONE),
+        *matrices_text(found, None),
     ]
     if found.mass is not None:
         parts.append(mass_text(found.mass))

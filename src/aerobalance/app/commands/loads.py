@@ -32,6 +32,7 @@ from aerobalance.io.kinds import TABLE
 from aerobalance.io.results_file import load_columns, writing
 from aerobalance.recording.channel import Array
 from aerobalance.recording.decimation import between_samples
+from aerobalance.recording.errors import FitError
 from aerobalance.recording.part_warnings import PartWarnings
 from aerobalance.recording.parts import parts_of
 from aerobalance.recording.progress import PROGRESS
@@ -120,6 +121,11 @@ def loads(
                 own = slice(part.first - part.begin, part.stop - part.begin)
                 append(load_columns(out, recording, own, felt))
                 found.add(felt, own)
+            if not found.known:
+                raise FitError(
+                    f"{record.name}: no sample gives loads; each lacks a gauge output or has no solution. "
+                    "Check units, zeros and the order of the bridges"
+                )
         told.tell()
     result: Result = {"file": path.name, "written": out.name, **found.result(), "warnings": collected}
     return {**result, "summary": summary(result)}
@@ -159,7 +165,6 @@ class LoadsSummary:
     _level: Array = field(default_factory=lambda: np.zeros(0))
     _sums: Array = field(default_factory=lambda: np.zeros((4, 0)))
     _ends: Array = field(default_factory=lambda: np.zeros((2, 0)))
-    _samples: int = 0
     _missing: int = 0
     _beyond: Counter[str] = field(default_factory=Counter)
     _contraction: float = 0.0
@@ -174,17 +179,18 @@ class LoadsSummary:
         count = known.sum(axis=0)
         if self._felt is None:
             self._felt = felt.part(0, 1)
-            self._level = filled.sum(axis=0) / np.maximum(count, 1)
             self._sums = np.zeros((4, values.shape[1]))
             self._ends = np.array([np.full(values.shape[1], np.inf), np.full(values.shape[1], -np.inf)])
             self._count = np.zeros(values.shape[1])
+        if not self.known:
+            self._level = filled.sum(axis=0) / np.maximum(count, 1)
         change = np.where(known, values - self._level, 0.0)
         self._count += count
         self._sums += [
             change.sum(axis=0),
             (change**2).sum(axis=0),
             np.nansum(calibration**2, axis=0) * (values.shape[0] / max(calibration.shape[0], 1)),
-            values.shape[0] * every * felt.noise**2,
+            count * every * felt.noise**2,
         ]
         if every > 1:  # the largest lie between the samples
             values = np.column_stack([between_samples(column, every) for column in values.T])
@@ -196,10 +202,14 @@ class LoadsSummary:
                 np.maximum(self._ends[1], high.max(axis=0, initial=-np.inf)),
             ]
         )
-        self._samples += values.shape[0]
         self._missing += int(np.count_nonzero(~known.all(axis=1)))
         self._beyond.update(beyond_range(felt.balance, felt.native[own]))
         self._contraction = max(self._contraction, felt.contraction)
+
+    @property
+    def known(self) -> bool:
+        """Whether any sample has loads."""
+        return bool(self._count.any())
 
     def result(self) -> Result:
         """Plain data.
@@ -219,7 +229,7 @@ class LoadsSummary:
             "least": self._ends[0],
             "largest": self._ends[1],
             "rms_about_mean": np.sqrt(np.maximum(self._sums[1] / count - shift**2, 0.0)),
-            "noise_of_reading": np.sqrt(self._sums[3] / self._samples),
+            "noise_of_reading": np.sqrt(self._sums[3] / count),
             "u_calibration_rms": np.sqrt(self._sums[2] / count),
         }
         return {

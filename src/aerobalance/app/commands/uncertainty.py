@@ -12,7 +12,7 @@ import numpy as np
 from aerobalance.app.commands.answers import rounded, short
 from aerobalance.app.commands.shared import Result, table_text
 from aerobalance.estimation.result import ForceSummary
-from aerobalance.recording.components import si_unit
+from aerobalance.recording.components import density_unit, si_unit
 from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.budget import BudgetLine, advice, component_budget, scalars, spectrum
 from aerobalance.uncertainty.monte_carlo import Compared, MonteCarlo
@@ -116,7 +116,7 @@ def budget_result(estimate: ForceSummary, origins: Origins) -> Result:
         "budget": rows,
         "improve_first": sentence,
         "spectrum": {
-            "unit": f"{unit}^2/Hz",
+            "unit": density_unit(estimate.component),
             "frequency_unit": "Hz",
             "frequency": found.frequency.tolist(),
             "density": found.density.tolist(),

@@ -7,7 +7,7 @@ import math
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, Final, NamedTuple
 
 from aerobalance.app.monitor.messages import ShownReading, Update, Watching
@@ -20,13 +20,20 @@ _WORSE: Final = 1.02
 
 
 class _Alarm(NamedTuple):
-    """Something over its limit: what, how it is said, over which part of its limit, and by which value."""
+    """Something over its limit: what, how it is said, its share of the limit, its value and how far beyond that is."""
 
     what: str
     text: str
     share: float
     value: float | None = None
     unit: str = ""
+    beyond: float = 0.0
+
+    def is_worse(self, kept: Mapping[str, Any], *, factor: float = 1.0) -> bool:
+        """Whether it is worse than one that is kept, by more than a factor."""
+        if self.share == kept["share"]:  # of a limit at zero the share is infinite
+            return self.beyond > factor * float(kept["beyond"])
+        return self.share > factor * float(kept["share"])
 
 
 class Alarms:
@@ -60,7 +67,9 @@ class Alarms:
         looked = {"contact"} if update.touching is not None else set()
         if update.readings and watching is not None:
             found |= {one.what: one for one in _loads(update, watching)}
-            looked |= {*update.readings, "combined loads"}
+            # an alarm is not over because there are no readings any more
+            looked |= {name for name, reading in update.readings.items() if reading.state != "none"}
+            looked |= {"combined loads"} if update.envelope is not None else set()
         with self._lock:
             told = [self._raise(one) for one in found.values()]
             told += [self._over(name) for name in looked - {*found}]
@@ -90,10 +99,10 @@ class Alarms:
             fields = found._asdict() | {"began": now, "last": now, "present": True, "acknowledged": None}
             self._open[found.what] = fields | {"number": next(self._numbers), "times": 1}
             return True
-        news = not one["present"] or found.share > _WORSE * one["share"]
+        news = not one["present"] or found.is_worse(one, factor=_WORSE)
         one["times"] += not one["present"]
         one |= {"present": True, "last": now}
-        if found.share > one["share"]:
+        if found.is_worse(one):
             one |= found._asdict()
         return news
 
@@ -131,4 +140,8 @@ def _beyond(name: str, reading: ShownReading, limits: tuple[float, float], unit:
     lower = low - reading.least > reading.largest - high
     value, limit = (reading.least, low) if lower else (reading.largest, high)
     text = f"{'below' if lower else 'above'} {limit:.6g} {unit}"
-    return _Alarm(name, text, abs(value / limit) if limit else math.inf, value, unit)
+    # of a load that must not come near zero, what is left of the limit is the smaller the worse it is
+    held_off = limit > 0 if lower else limit < 0
+    over, under = (limit, value) if held_off else (value, limit)
+    share = over / under if over * under > 0 else math.inf
+    return _Alarm(name, text, share, value, unit, abs(value - limit))

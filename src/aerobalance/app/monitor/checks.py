@@ -183,9 +183,10 @@ class Checks:
         setup, rows = self._source.setup, []
         units = {item.name: item.unit for item in stored_channels(setup, self._source.running().info.channels)}
         for name, shunt in setup.shunt.items():
-            if name not in changes:
-                continue
             unit = units.get(name, si_unit(name) if name in COMPONENTS else "")
+            if name not in changes:
+                rows.append(_unread(name, unit))
+                continue
             conversion = conversion_for(name, unit)
             if shunt.output is not None and conversion.unit != "mV/V":
                 raise ValueError(f"shunt.{name}: a resistance makes a change in mV/V, but the channel is in {unit}")
@@ -202,17 +203,20 @@ class Checks:
         return rows
 
     def _returns(self, changes: Mapping[str, Change]) -> list[dict[str, Any]]:
-        watching = self._source.watching
-        half_ranges = {} if watching is None else watching.half_ranges
+        watching, rows = self._source.watching, []
+        if watching is None:
+            return []
         tolerance = self._source.setup.fouling.tolerance
-        return [
-            _row(
-                check_return(name, change, half_range=half_ranges[name], tolerance=tolerance),
-                "mV/V" if is_gauge(name) else si_unit(name),
-            )
-            for name, change in changes.items()
-            if name in half_ranges and (name in COMPONENTS or is_gauge(name))
-        ]
+        for name in watching.names:
+            half_range = watching.half_ranges.get(name)
+            if half_range is None or not (name in COMPONENTS or is_gauge(name)):
+                continue
+            unit, change = "mV/V" if is_gauge(name) else si_unit(name), changes.get(name)
+            if change is None:
+                rows.append(_unread(name, unit))
+            else:
+                rows.append(_row(check_return(name, change, half_range=half_range, tolerance=tolerance), unit))
+        return rows
 
     def _show(self, kind: Kind, text: str, *, busy: bool = False, **more: Any) -> None:
         self.busy = busy
@@ -232,11 +236,19 @@ def _row(checked: Checked, unit: str) -> dict[str, Any]:
     }
 
 
+def _unread(channel: str, unit: str) -> dict[str, Any]:
+    """Row of a channel without readings, which does not pass: a dead bridge is what a check is for."""
+    nothing = dict.fromkeys(("change", "expected", "tolerance", "expanded"))
+    return {"channel": channel, "unit": unit, **nothing, "verdict": "failed"}
+
+
 def _between(middle: float, half: float) -> str:
     return f"{middle - half:.5g} to {middle + half:.5g}"
 
 
 def _words(row: Mapping[str, Any]) -> str:
+    if row["change"] is None:
+        return f"{row['channel']} has no readings"
     return (
         f"{row['channel']} changed by {row['change']:.5g} {row['unit']} "
         f"({_between(row['change'], row['expanded'])} with 95 %), "

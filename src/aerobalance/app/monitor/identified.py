@@ -16,6 +16,7 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.identification.base_excitation.paper_procedure import reference_fit
 from aerobalance.identification.base_excitation.sine_dwell import find_dwells
 from aerobalance.io.artefacts import provenance
+from aerobalance.io.dynamics_file import dynamics_units
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
@@ -57,7 +58,8 @@ def write_identified(path: Path, account: Mapping[str, Any], recording: Path, *,
         figures += _release(record, found, component)
     else:
         figures += _response(record, found, component)
-    units = {"mass": "kg", "stiffness": "N/m", "damping": "N·s/m", "natural_frequency": "Hz", "delay": "µs"}
+    units = {name: unit.replace("*", "·") for name, unit in dynamics_units(component).items() if unit != "1"}
+    units["delay"] = "µs"
     content = {
         "file": recording.name,
         "component": component,

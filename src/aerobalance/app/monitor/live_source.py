@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import threading
 import time
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,6 +58,7 @@ class LiveSource:
         self.session: Session | None = None
         self.zeros: dict[str, float] = {}
         self.controls: dict[str, float] = {}
+        self._asked: deque[tuple[str, float]] = deque()  # controls that the source has not answered yet
         self.watching: Watching | None = None
         self._opened, self._unwatched = 0.0, False
 
@@ -77,6 +79,7 @@ class LiveSource:
             self._log.say(f"the source cannot be used: {problem}", kind="error")
             return
         self.controls = first_controls(setup)
+        self._asked.clear()
         watch = self._watch(self.session)
         self.engine.remember(watch)
         self.engine.order(watch)
@@ -90,7 +93,7 @@ class LiveSource:
         return self.session
 
     def control(self, name: str, value: float) -> None:
-        """Set a control of the source.
+        """Set a control of the source; `controls` has it once the source has done so.
 
         Raises
         ------
@@ -102,7 +105,7 @@ class LiveSource:
             if name not in session.info.controls:
                 raise ValueError(f"this source has no control {name[:40]!r}")
             session.control(name, value)
-            self.controls[name] = value
+            self._asked.append((name, value))
 
     def take_zeros(self) -> None:
         """Ask for what the loads read now, the weight apart."""
@@ -144,7 +147,11 @@ class LiveSource:
             elif message.kind == "failed":
                 self._stands("ended", message.text)
                 self._log.say(message.text, kind="error")
+            elif message.kind == "done":
+                name, value = self._asked.popleft()
+                self.controls[name] = value
             elif message.kind == "refused":
+                self._asked.popleft()
                 self._log.say(message.text, kind="error")
         return found
 

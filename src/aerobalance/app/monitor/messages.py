@@ -18,7 +18,10 @@ LINES: Final = 512
 
 
 class ShownReading(NamedTuple):
-    """A channel over the time of `NUMBERS`; `state` is ``ok``, ``high`` or ``over``.
+    """A channel over the time of `NUMBERS`; `state` is ``ok``, ``high`` or ``over``, and ``none`` without a reading.
+
+    `percent` is that of half of the range. `limit` is the share of the nearer limit; infinite beyond one at zero or on
+    the other side of it, and None where there is none.
 
     `mean` is that of the last `seconds`, which are fewer where a `step` came before them; `least` and `largest` are
     those of all the time.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import threading
 import time
 from collections.abc import Collection
@@ -59,7 +60,7 @@ class SteppedSineRun:
     Raises
     ------
     FitError, ValueError
-        The source has no drive or no dynamics, or cannot be recorded.
+        The source has no drive or no dynamics with a mass, or cannot be recorded.
     """
 
     def __init__(
@@ -73,7 +74,13 @@ class SteppedSineRun:
         self._source, self._records, self._tasks, self._log = source, records, tasks, log
         self._component = watching.components[0]
         self._natural = watching.frequencies[self._component]
-        self._mass = watching.masses[self._component]
+        mass = watching.masses.get(self._component)
+        if mass is None:
+            raise ValueError(
+                f"the stepped-sine run needs the moving mass along {self._component}, which the dynamics do not have "
+                "by itself; record the run by hand, and identify it with the mass"
+            )
+        self._mass = mass
         self._before = source.controls["frequency"]
         self._name = next(
             name for number in range(1, 10_000) if (name := f"stepped-sine-{number:03d}.h5") not in taken
@@ -90,17 +97,24 @@ class SteppedSineRun:
         self.shown = {"text": text, "running": False, **more}
         self._log.changed()
 
+    def _drive(self) -> None:
+        """Drive the rig at one frequency after the other, while it is recorded."""
+        for number, share in enumerate(SHARES):
+            frequency = round(share * self._natural, 1)
+            self._source.control("frequency", frequency)
+            self._tell(f"{frequency:g} Hz, {number + 1} of {len(SHARES)}", running=True)
+            time.sleep(DWELL)
+            if not self._records.under_way:
+                break
+
     def _run(self) -> None:
         try:
-            for number, share in enumerate(SHARES):
-                frequency = round(share * self._natural, 1)
-                self._source.control("frequency", frequency)
-                self._tell(f"{frequency:g} Hz, {number + 1} of {len(SHARES)}", running=True)
-                time.sleep(DWELL)
-                if not self._records.under_way:
-                    break
-            self._records.stop()  # says so where the record has ended before the run was done
-            self._source.control("frequency", self._before)
+            try:
+                self._drive()
+                self._records.stop()  # says so where the record has ended before the run was done
+            finally:  # nothing that ends the run leaves the rig driven at resonance
+                with contextlib.suppress(FitError, ValueError):
+                    self._source.control("frequency", self._before)
             settings = {"component": self._component, "mass": f"{self._mass:g}"}
             task = self._tasks.run("rig", [self._name], settings)
             self._tell(f"{self._name}: identification", task=task)

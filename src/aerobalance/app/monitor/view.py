@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Final
 
@@ -16,6 +16,7 @@ from aerobalance.acquisition.fouling import ContactFinder
 from aerobalance.acquisition.guards import ContactCircuit, felt, load_columns, loads_of
 from aerobalance.acquisition.intake import contact_text
 from aerobalance.acquisition.source import Block
+from aerobalance.app.monitor.aligned_loads import AlignedLoads
 from aerobalance.app.monitor.health import health_of, is_still, verdict_on
 from aerobalance.app.monitor.messages import LINES, ShownForce, ShownReading, Update
 from aerobalance.app.monitor.minmax_strips import Extremes
@@ -150,11 +151,15 @@ class View:
         self.panel = panel
         names = panel.names
         self._conversions = [_conversion(channel) for channel in panel.channels]
-        self._gauges = [] if panel.balance is None else list(load_columns(panel.balance, panel.channels).columns)
+        self._gauges = None if panel.balance is None else load_columns(panel.balance, panel.channels)
         circuit = panel.circuit
         self._contact = circuit and ContactFinder(circuit.level, hold=circuit.hold, closed_above=circuit.closed_above)
         self._continuity = Continuity(panel.rate, clocked=panel.clocked)
         self._streams = _followed(panel)
+        self._aligned = None
+        if self._gauges is not None:
+            late = [panel.rate * (delay - panel.delays[-1]) for delay in panel.delays]
+            self._aligned = AlignedLoads(self._gauges, loads=len(panel.channels), late=late)
         self.lines = {name: live for live, _ in self._streams for name in live.components}
         width = max([panel.width, *(line.factor for line in self.lines.values())])
         self.width = width
@@ -166,42 +171,64 @@ class View:
         self._quiet = 0
         self._means: list[tuple[float, Array]] = []
         self._held_since = 0.0
-        self.set_zeros(panel.zeros)
         self._held: list[Array] = []
         self._held_rows = 0
-        self._estimates: dict[str, list[Array]] = {name: [] for name in self.lines}
+        self._estimates: dict[str, list[Array]] = {}
+        self.set_zeros(panel.zeros)
         self._since_spectra = 0
         self._saturated = dict.fromkeys(names, 0)
         self.update = Update(0, 0.0)
 
     def set_zeros(self, zeros: Mapping[str, float]) -> None:
-        """Take off other zeros from now on."""
-        balance, given = self.panel.balance, dict(zeros)
-        if balance is not None and balance.natural_zero is not None:
-            natural = zip(balance.gauges, balance.natural_zero, strict=True)
-            given = {f"r{gauge}": float(value) for gauge, value in natural} | given
+        """Take off other zeros from now on; the numbers to come are of samples from now on alone."""
+        given = dict(zeros)
+        if self._gauges is not None:
+            own = zip(self._gauges.balance.gauges, self._gauges.zeros.tolist(), strict=True)
+            given = {f"r{gauge}": zero for gauge, zero in own} | given
         self._offsets[:] = [given.get(name, 0.0) for name in self.panel.names]
-        self._means = []
+        self._means, self._held, self._held_rows = [], [], 0
+        self._estimates = {name: [] for name in self.lines}
+        if self._aligned is not None:
+            self._aligned.forget()
         for live, _ in self._streams:
             live.restart()
 
     def zeros(self) -> dict[str, float]:
         """Return the zeros that make the loads of the last second read the weight alone.
 
+        A load or gauge output without readings in that second keeps the zero that it has.
+
         Raises
         ------
         ValueError
-            There are no readings yet.
+            There are no readings yet, or none of a channel that makes the loads or the weight.
         """
-        if not self._means:
-            raise ValueError("there are no readings yet to take the zero from")
-        means = np.mean(self.means, axis=0)
+        means = _means(self.means)
         weights = _weights(self.panel, means)
+        self._check_readings(means, weights)
         found = {}
         for place, name in enumerate(self.panel.names):
-            if name not in self.panel.loads and (name in COMPONENTS or is_gauge(name)) and np.isfinite(means[place]):
-                found[name] = float(means[place] + self._offsets[place] - weights.get(name, 0.0))
+            if name not in self.panel.loads and (name in COMPONENTS or is_gauge(name)):
+                if np.isfinite(means[place]):
+                    found[name] = float(means[place] + self._offsets[place] - weights.get(name, 0.0))
+                elif self._offsets[place]:
+                    found[name] = float(self._offsets[place])
         return found | self._zeros_of_gauges(found, weights)
+
+    def _check_readings(self, means: Array, weights: Mapping[str, float]) -> None:
+        """Refuse to take a zero of the last second where nothing was read, or not what the other zeros are made of."""
+        lacking = [name for name, mean in zip(self.panel.names, means, strict=True) if not np.isfinite(mean)]
+        if len(lacking) == len(self.panel.names):
+            raise ValueError("there are no readings yet to take the zero from")
+        needed = set() if self._gauges is None else {f"r{gauge}" for gauge in self._gauges.balance.gauges}
+        if not all(map(math.isfinite, weights.values())):
+            needed |= {"pitch", "roll"}
+        lacking = [name for name in lacking if name in needed]
+        if lacking:
+            raise ValueError(
+                f"no zero is taken: there are no readings of {', '.join(lacking)} in the last second, without which "
+                f"{'the weight' if {*lacking} <= {'pitch', 'roll'} else 'the loads'} cannot be told"
+            )
 
     def _zeros_of_gauges(self, read: Mapping[str, float], weights: Mapping[str, float]) -> dict[str, float]:
         """Zeros of the gauges less what they read by the weight, and those of the loads that are made of them.
@@ -209,15 +236,15 @@ class View:
         Curved bridges are read from where the weight has brought them: known along components whose force is worked
         out, and along the others by the distance from the natural zeros. The latter load counts from there.
         """
-        balance, loads = self.panel.balance, self.panel.loads
-        if balance is None:
+        gauges, loads = self._gauges, self.panel.loads
+        if gauges is None:
             return {}
-        names = [f"r{gauge}" for gauge in balance.gauges]
-        if not all(name in read for name in names):
-            return {}
+        balance = gauges.balance
+        if balance.natural_zero is not None:  # readings with an offset in the set-up count from that zero
+            balance = replace(balance, natural_zero=gauges.zeros)
         known = {name: value if name in loads else 0.0 for name, value in weights.items()}
         under, beyond = gauge_zero_of_readings(read, balance, weight=known, source="the last second")
-        given = dict(zip(names, under.values.tolist(), strict=True))
+        given = {f"r{gauge}": value for gauge, value in zip(balance.gauges, under.values.tolist(), strict=True)}
         return given | dict(zip(loads, beyond.tolist(), strict=True))
 
     @property
@@ -227,7 +254,7 @@ class View:
 
     @property
     def means_since(self) -> float:
-        """When the first block of `means` came, on the steady clock [s]."""
+        """When the first sample of `means` came, on the steady clock [s]."""
         return self._means[0][0] if self._means else -math.inf
 
     def feed(self, block: Block) -> None:
@@ -255,6 +282,8 @@ class View:
 
     def _final(self, tick: int, values: Array) -> list[tuple[str, LiveEstimate]]:
         """Samples of the forces that have become final by readings of all channels, SI."""
+        if self._aligned is not None:
+            tick, values = self._aligned.push(tick, values, offsets=self._offsets)
         found = [live.push(values[:, columns], first=tick) for live, columns in self._streams]
         return [(name, piece) for forces in found for name, piece in forces.items() if piece.force.size]
 
@@ -272,9 +301,9 @@ class View:
                 values[:, place] = conversion.inside(channel.values(samples[:, place]))
             self._large += self._without_large(values)
             values -= self._offsets
-            balance = self.panel.balance
-            if balance is not None:
-                values[:, samples.shape[1] :] += felt(balance, values[:, self._gauges])
+            if self._gauges is not None:
+                outputs = values[:, self._gauges.columns]
+                values[:, samples.shape[1] :] += felt(self._gauges.balance, outputs)
                 self._without_large(values)
         return values
 
@@ -307,7 +336,7 @@ class View:
     def _count(self, values: Array, received: float) -> None:
         """Draw up numbers and spectra where they are due."""
         if not self._held:
-            self._held_since = received
+            self._held_since = received - (values.shape[0] - 1) / self.panel.rate  # received: the last sample
         self._held.append(values)
         self._held_rows += values.shape[0]
         if self._held_rows < NUMBERS * self.panel.rate:
@@ -343,9 +372,9 @@ class View:
         percent = None if half is None else 100 * max(-least, largest) / half
         shares = [largest / high if high > 0 else math.inf if largest > high else 0.0]
         shares.append(least / low if low < 0 else math.inf if least < low else 0.0)
-        share = max(shares)
+        share = max(0.0, *shares)
         state = "over" if share >= 1 else "high" if share >= WARNING else "ok"
-        limit = share if math.isfinite(high - low) else None
+        limit = share if math.isfinite(low) or math.isfinite(high) else None
         return ShownReading(mean, least, largest, percent, limit, state, samples / self.panel.rate, step)
 
     @property

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from multiprocessing.process import BaseProcess
 from multiprocessing.reduction import send_handle
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from aerobalance.acquisition.processes import load_beforehand, pipe, start_worker
 from aerobalance.app.monitor.jobs import Task, TaskOutcome
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
     Pipe = Connection[Any, Any]
 
+
+_ENDED: Final = "it was ended before it was done"
 
 load_beforehand(*(f"aerobalance.app.monitor.{name}" for name in ("engine", "learner", "jobs")))
 
@@ -151,7 +153,12 @@ class Jobs:
         return task
 
     def cancel(self) -> None:
-        """End what is under way."""
+        """End what is under way, and give up what waits."""
+        with self._changed:
+            given_up = [*self._waiting]
+            self._waiting.clear()
+        for task in given_up:
+            self._heard(task, TaskOutcome(task.number, False, _ENDED))
         if self.process is not None:
             self.process.kill()
 
@@ -173,7 +180,7 @@ class Jobs:
             outcome: TaskOutcome = pipe.recv()
         except (EOFError, OSError):
             self.process = None
-            return TaskOutcome(task.number, False, "it was ended before it was done")
+            return TaskOutcome(task.number, False, _ENDED)
         return outcome
 
     def _ready(self) -> Pipe:

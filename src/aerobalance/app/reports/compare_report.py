@@ -163,16 +163,22 @@ def comparison_figure(
 
 
 def _running_rms(error: Array, period: int) -> Array:
-    return np.asarray(np.sqrt(np.maximum(uniform_filter1d(error**2, period, mode="nearest"), 0.0)))
+    """Return the rms over a period about each sample that is known, shape (n,); NaN at those that are missing."""
+    known = np.isfinite(error)
+    power = uniform_filter1d(np.where(known, error, 0.0) ** 2, period, mode="nearest")
+    share = np.maximum(uniform_filter1d(known.astype(np.float64), period, mode="nearest"), 1 / period)
+    return np.where(known, np.sqrt(np.maximum(power, 0.0) / share), np.nan)
 
 
 def _limits(reference: Array, curves: Sequence[Array]) -> tuple[float, float]:
     """Range of the axis: all curves, but what is beyond the force by more than its own span is cut."""
-    low, high = float(np.min(reference)), float(np.max(reference))
-    least = min(float(np.min(curve)) for curve in curves)
-    most = max(float(np.max(curve)) for curve in curves)
-    span = high - low
+    force, *others = (curve[np.isfinite(curve)] for curve in (reference, *curves))
+    some = [curve for curve in (force, *others) if curve.size]
+    if not some:
+        return -1.0, 1.0
+    least, most = min(float(curve.min()) for curve in some), max(float(curve.max()) for curve in some)
+    span = float(np.ptp(force)) if force.size else 0.0
     if span > 0:
-        least, most = max(least, low - span), min(most, high + span)
+        least, most = max(least, float(force.min()) - span), min(most, float(force.max()) + span)
     margin = 0.05 * (most - least) or 1.0
     return least - margin, most + margin

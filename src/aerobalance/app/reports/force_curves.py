@@ -99,13 +99,13 @@ class ForceCurves:
             self._spectrum.add(filled, ())
         force, u = given.force[component].values.copy(), given.force[component].uncertainty.copy()
         force[own], u[own] = given.values[component], given.uncertainty[component]
-        inside = np.zeros(force.size, dtype=bool)
-        inside[own] = np.isfinite(force[own])
         change = np.abs(np.diff(force, append=force[-1]))
         for name, size in (("change", change), ("largest", force), ("least", -force)):
-            place = int(np.argmax(np.where(inside, size, -np.inf)))
+            sizes = np.full(force.size, -np.inf)
+            sizes[own] = np.where(np.isfinite(size[own]), size[own], -np.inf)
+            place = int(np.argmax(sizes))
             known = self._views.get(name)
-            if known is None or size[place] > known.size:
+            if known is None or sizes[place] > known.size:
                 length = min(CLOSE, force.size)
                 first = int(np.clip(place - BEFORE * length, 0, force.size - length))
                 kept = slice(first, first + length)
@@ -115,17 +115,17 @@ class ForceCurves:
                     load[kept].copy(),
                     force[kept].copy(),
                     u[kept].copy(),
-                    size[place],
+                    float(sizes[place]),
                     self.every,
                 )
 
     def _add_pieces(self, name: str, values: Array, first: int) -> None:
-        """Add samples from a number on to the pieces that they belong to."""
+        """Add samples from a number on to the pieces that they belong to; missing ones leave these as they are."""
         pieces = (first + np.arange(values.size)) // self.width
         edges = np.flatnonzero(np.diff(pieces, prepend=-1))
         place, ends = pieces[edges], self._ends[name]
-        ends[place, 0] = np.minimum(ends[place, 0], np.minimum.reduceat(values, edges))
-        ends[place, 1] = np.maximum(ends[place, 1], np.maximum.reduceat(values, edges))
+        ends[place, 0] = np.fmin(ends[place, 0], np.fmin.reduceat(values, edges))
+        ends[place, 1] = np.fmax(ends[place, 1], np.fmax.reduceat(values, edges))
 
     def times(self, rate: float) -> Array:
         """Times of the points of `load` and `force`, shape (m,) [s], the record's sampling rate being `rate` [Hz]."""
@@ -147,9 +147,7 @@ class ForceCurves:
 
     def _points(self, name: str) -> Array:
         ends = self._ends[name]
-        if self.width == 1:
-            return ends[:, 0]
-        kept = ends[: self.samples // self.width].ravel()
+        kept = ends[:, 0] if self.width == 1 else ends[: self.samples // self.width].ravel()
         return np.where(np.isfinite(kept), kept, np.nan)
 
     def load_spectrum(self, rate: float) -> tuple[Array, Array]:

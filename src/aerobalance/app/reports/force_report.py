@@ -16,7 +16,7 @@ from aerobalance.estimation.display import COVERAGE_FACTOR
 from aerobalance.estimation.result import ForceSummary
 from aerobalance.io.artefacts import provenance
 from aerobalance.io.dynamics_file import dynamics_units
-from aerobalance.recording.components import si_unit
+from aerobalance.recording.components import density_unit, si_unit
 from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.budget import component_budget, spectrum
 
@@ -136,7 +136,7 @@ def force_figure(summary: ForceSummary, shown: ForceCurves, *, rate: float) -> s
 
 def spectrum_figure(summary: ForceSummary, shown: ForceCurves, *, rate: float) -> str:
     """Draw the spectra of load and force, the latter with its two bands."""
-    colours, unit = PLACE_HOLDERS, si_unit(summary.component).replace("*", "·")
+    colours, unit = PLACE_HOLDERS, density_unit(summary.component).replace("*", "·").replace("^2", "²")
     figure, (ax,) = empty_figure(colours, (7.6, 3.8), rows=1)
     found = spectrum(summary, rate=rate)
     inner = slice(1, None)
@@ -163,8 +163,7 @@ def spectrum_figure(summary: ForceSummary, shown: ForceCurves, *, rate: float) -
         )
     ax.plot(frequency[inner], np.maximum(force, least), color=colours.second, linewidth=1.4, label="force applied")
     ax.axvline(max(summary.bandwidth, float(frequency[1])), color=colours.muted, linewidth=0.8, linestyle=":")
-    squared = f"({unit})²" if "*" in unit else f"{unit}²"
-    ax.set(xlabel="frequency [Hz]", ylabel=f"density [{squared}/Hz]", ylim=(least * 0.8, 3 * highest))
+    ax.set(xlabel="frequency [Hz]", ylabel=f"density [{unit}]", ylim=(least * 0.8, 3 * highest))
     ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}")  # powers would need mathematical type
     ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     legend(ax, colours, "lower left")

@@ -143,11 +143,15 @@ class NormalisedPoints:
         return np.hstack(columns)
 
     def fit(self, terms: tuple[Term, ...], choice: Choice) -> tuple[Array, tuple[Regression, ...]]:
-        """Return the tares over capacity, shape (s, c), and the fits of all components, with tares as intercepts."""
+        """Return the tares over capacity, shape (s, c), and the fits of all components, with tares as intercepts.
+
+        A series that has no points in the fit has no tares: NaN.
+        """
         c = self.loads.shape[1]
         tares = np.zeros((len(self.schedule.series_names), c))
         if not self.absolute:
             return tares, self._regress(terms, choice, tares)
+        tares[np.setdiff1d(np.arange(len(tares)), self.series_used)] = np.nan
         if self.way == "non-iterative":
             regressions = self._regress(terms, choice, tares)
             tares[self.series_used] = -np.column_stack(

@@ -221,10 +221,18 @@ def _hysteresis(calibration: Calibration, residuals: Array) -> Array:
             own = np.abs(loads[rows, index])
             if np.ptp(loads[rows, index]) < 0.1 or own.size < 3:
                 continue
-            rising = np.concatenate(([True], np.diff(own) > 0))
+            rising = _rising(own)
             for group in np.unique(groups[rows]):
                 same = groups[rows] == group
                 up, down = residuals[rows[same & rising], index], residuals[rows[same & ~rising], index]
                 if up.size and down.size and own[same].max() > SETTINGS.same_load:
                     result[index] = np.fmax(result[index], abs(up.mean() - down.mean()))
     return result
+
+
+def _rising(loads: Array) -> NDArray[np.bool_]:
+    """Whether each load was come to from a smaller one, shape (n,): the first was, a repeat as the one before it."""
+    step = np.diff(loads, prepend=-1.0)
+    turns = np.abs(step) > SETTINGS.same_load
+    last = np.maximum.accumulate(np.where(turns, np.arange(loads.size), 0))
+    return np.asarray(step[last] > 0)

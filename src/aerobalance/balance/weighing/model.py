@@ -84,6 +84,11 @@ class WeightModel:
         stem = f"moment.{component}" if self.own_centres else "moment"
         return {f"{stem}.{lever}": (sign, AXES.index(pull)) for lever, (sign, pull) in LEVERS[component].items()}
 
+    def mass_of(self, component: str) -> str:
+        """Name of the mass that a component is read with; of a moment that of the first force."""
+        own = f"mass.{component}"
+        return own if own in self.names else next(name for name in self.names if name.startswith("mass"))
+
     @property
     def names(self) -> tuple[str, ...]:
         """All parameters: masses [kg], static moments [kg*m], offsets [N, N*m], misalignment [rad]."""

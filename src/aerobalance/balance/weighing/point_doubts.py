@@ -44,10 +44,11 @@ def doubts_of_points(model: WeightModel, readings: Readings, found: Adjustment) 
     norms = np.linalg.norm(rows, axis=0)
     inverse = np.linalg.pinv(rows / norms) / norms[:, None]
     left = (found.residuals / sigma).ravel()
-    place = next(number for number, name in enumerate(model.names) if name.startswith("mass"))
     doubts = []
     count = len(model.components)
     for column, name in enumerate(model.components):
+        mass = model.mass_of(name)
+        place = model.names.index(mass)
         mine = np.arange(column, left.size, count)
         # nothing falls below what is known of the readings
         known = float(np.sqrt(np.mean((readings.size[:, column] / sigma[:, column]) ** 2)))
@@ -59,7 +60,7 @@ def doubts_of_points(model: WeightModel, readings: Readings, found: Adjustment) 
         worst = int(np.argmin(chances))
         if chances[worst] < CHANCE / (mine.size * count):
             moved = found.values[place] - _mass(model, _without(readings, worst), found, place)
-            doubts.append(_outlier(name, worst, tests[worst], moved, size=float(sigma[worst, column])))
+            doubts.append(_outlier(name, worst, tests[worst], moved, mass=mass, size=float(sigma[worst, column])))
             continue
         ways = _ways(readings, name)
         if min(np.count_nonzero(ways > 0), np.count_nonzero(ways < 0)) < EACH_WAY:
@@ -71,7 +72,7 @@ def doubts_of_points(model: WeightModel, readings: Readings, found: Adjustment) 
             loads = readings.loads.copy()
             loads[:, column] -= lag.size * ways
             moved = found.values[place] - _mass(model, replace(readings, loads=loads), found, place)
-            doubts.append(_hysteresis(name, lag, moved))
+            doubts.append(_hysteresis(name, lag, moved, mass=mass))
     return tuple(doubts)
 
 
@@ -146,22 +147,26 @@ def _ways(readings: Readings, name: str) -> Array:
     return ways
 
 
-def _outlier(name: str, number: int, found: _Column, moved: float, *, size: float) -> Doubt:
+def _words(mass: str) -> str:
+    return mass.replace(".", " of ")
+
+
+def _outlier(name: str, number: int, found: _Column, moved: float, *, mass: str, size: float) -> Doubt:
     unit = si_unit(name)
     text = (
         f"point {number + 1} does not go with the others in {name}: it is {found.size * size:+.3g} {unit} off what "
-        f"they expect (chance makes as much once in {1 / max(found.chance, 1e-12):.1g} points); it moves the mass by "
-        f"{moved:+.2g} kg and widens its uncertainty"
+        f"they expect (chance makes as much once in {1 / max(found.chance, 1e-12):.1g} points); it moves the "
+        f"{_words(mass)} by {moved:+.2g} kg and widens its uncertainty"
     )
     return Doubt("outlying point", name, text, "repeat the point, or leave it out", abs(moved), "kg")
 
 
-def _hysteresis(name: str, found: _Column, moved: float) -> Doubt:
+def _hysteresis(name: str, found: _Column, moved: float, *, mass: str) -> Doubt:
     unit = si_unit(name)
     text = (
         f"{name} depends on the way the points were reached: {2 * abs(found.size):.3g} {unit} between a rising and a "
-        "falling share of the weight, as hysteresis, friction or a cable that pulls make it; it moves the mass by "
-        f"{moved:+.2g} kg and widens its uncertainty"
+        "falling share of the weight, as hysteresis, friction or a cable that pulls make it; it moves the "
+        f"{_words(mass)} by {moved:+.2g} kg and widens its uncertainty"
     )
     advice = "read every attitude from both sides, and look for what rubs or pulls"
     return Doubt("hysteresis", name, text, advice, abs(moved), "kg")

@@ -136,7 +136,7 @@ def _stretches(recording: Recording, names: tuple[str, ...], *, with_roll: bool)
     """Points of one recording: columns pitch, roll, the means, and their uncertainties."""
     loads = [recording.channel(name).values for name in names]
     pitch = recording.channel("pitch").values
-    roll = recording.channel("roll").values if with_roll else np.zeros_like(pitch)
+    roll = _unwrapped(recording.channel("roll").values) if with_roll else np.zeros_like(pitch)
     rows = []
     for stretch in _plateaus(pitch, roll):
         known = [load[stretch][np.isfinite(load[stretch])] for load in loads]
@@ -149,6 +149,14 @@ def _stretches(recording: Recording, names: tuple[str, ...], *, with_roll: bool)
             "twenty samples and one part in forty of the recording at least"
         )
     return np.array(rows)
+
+
+def _unwrapped(angle: Array) -> Array:
+    """The angle without jumps of a turn, as a sensor that reads -180 to 180 degrees makes them at their ends."""
+    known = np.isfinite(angle)
+    whole = angle.copy()
+    whole[known] = np.unwrap(angle[known])
+    return whole
 
 
 def _plateaus(pitch: Array, roll: Array) -> list[slice]:

@@ -145,7 +145,8 @@ class Weighing:
     unidentified
         What the readings cannot tell, and what would help.
     doubts
-        What the points say against the result; effects are of the mass [kg].
+        What the points say against the result; effects are of the mass [kg], of a force's own where the masses
+        disagree.
     """
 
     model: WeightModel
@@ -203,8 +204,13 @@ class Weighing:
     @property
     def verdict(self) -> Verdict:
         """Whether the mass may be used, by what is doubted."""
-        size = Size(self.u_mass, self.mass, self.mass)
-        return verdict_of(self.doubts, dict.fromkeys(self.components, size))
+        return verdict_of(self.doubts, {name: self._mass_behind(name) for name in self.components})
+
+    def _mass_behind(self, component: str) -> Size:
+        """The mass that the doubts of a component are about."""
+        own = self.masses.get(self.model.mass_of(component).removeprefix("mass."))
+        value, u = (self.mass, self.u_mass) if own is None else (own.mass, own.u)
+        return Size(u, value, value)
 
     @property
     def components(self) -> tuple[str, ...]:

@@ -26,7 +26,6 @@ from aerobalance.estimation.result import ComponentForce, with_errors
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import DOUBTED, Doubt
-from aerobalance.recording.resampling import align_channels
 
 
 @dataclass(frozen=True, slots=True)
@@ -295,7 +294,7 @@ def shape_doubts(
     if not record.is_coupled:
         return {}
     dynamics, interval = record.dynamics, record.interval
-    loads = align_channels(filled, record.channels, to=record.channels[0], interval=interval) - record.from_ground
+    loads = record.without_ground(filled, on_clock_of=0)
     names = dynamics.components
     other = _spoken(record, loads, parts)
     if other is not None:  # a tone is narrower than any resonance, and looks like one that is elsewhere

@@ -13,9 +13,9 @@ from aerobalance.recording.channel import Array
 BINS: Final = 512
 """Frequencies at which the spectrum of an error is kept."""
 
-LEAST_SEEN: Final = 0.1
+LEAST_SEEN: Final = 0.2
 """Response of the balance over that which was taken for its, below which its inverse is not followed: the force is
-five times what was found at most, and within a tenth where it is a third."""
+five times what was found at most."""
 
 PERIODS: Final = 1.0
 """Periods of the balance either side over which the square of an error is averaged."""
@@ -41,7 +41,7 @@ def error_under(force: Array, *, own: ModalModel, other: ModalModel, interval: f
     frequency = np.fft.rfftfreq(2 * count, interval)
     here, there = own.response(frequency), other.response(frequency)
     # at a zero of the other response the reading shows no force: what is found there is no measure of what acts
-    seen = np.abs(there) ** 2 + (LEAST_SEEN * np.abs(here)) ** 2
+    seen = np.maximum(np.abs(there), LEAST_SEEN * np.abs(here)) ** 2
     ratio = 1 - here * np.conj(there) / np.maximum(seen, 1e-300)
     return np.asarray(np.fft.irfft(np.fft.rfft(closed) * ratio, 2 * count)[:count])
 

@@ -135,7 +135,7 @@ def _coupled(force: Force, record: CoupledRecord) -> tuple[ResonanceChange, ...]
     filled = force.filled
     if dynamics.internal or len(modes) != len(dynamics.components) or not np.ptp(filled, axis=0).all():
         return still
-    ringing = Ringing.of(record, filled, force.parts)
+    ringing = Ringing.of(record, record.without_ground(filled, on_clock_of=0), force.parts)
     if ringing is None:
         return still
     own = Moved.none(dynamics)

@@ -19,12 +19,14 @@ class Aligner:
 
     Lags of whole samples are taken out exactly. For the rest readings are interpolated band-limited, so that a missing
     one leaves `aerobalance.recording.resampling.REACH` samples on either side missing. What came before the first
-    sample is as the first.
+    sample is as the first; loads that were read more than a sample before the first of another channel are missing.
 
     Parameters
     ----------
     late
         Samples by which the readings of each of the c channels come late; negative where they come early.
+    loads
+        How many of them, the first ones, are loads.
 
     Attributes
     ----------
@@ -32,11 +34,13 @@ class Aligner:
         Samples that a row waits for those after it.
     """
 
-    def __init__(self, late: Sequence[float]) -> None:
+    def __init__(self, late: Sequence[float], *, loads: int = 0) -> None:
         self._taps = [_taps(round(float(one), SAME)) for one in late]
         self._straight = all(first == 0 and weights.size == 1 for weights, first in self._taps)
         self._behind = max([0, *(-first for _, first in self._taps)])
         self.ahead: int = max([0, *(first + weights.size - 1 for weights, first in self._taps)])
+        early = -np.round(np.asarray(late, dtype=np.float64)[loads:], SAME)
+        self._loads, self._unread = loads, int(np.ceil(early.max(initial=0.0) - 1))
         self._held: Array | None = None
 
     def push(self, rows: Array) -> Array:
@@ -53,6 +57,9 @@ class Aligner:
             for place, weight in enumerate(weights, start=self._behind + first):
                 made[:, column] += weight * held[place : place + count, column]
         self._held = held[count:]
+        if self._unread > 0:
+            made[: self._unread, : self._loads] = np.nan
+            self._unread -= count
         return made
 
 

@@ -105,10 +105,14 @@ class Columns:
         Raises
         ------
         ValueError
-            There is no channel of a component, or the non-metric end moves and the mass is not known.
+            There is no channel of a component, a channel stands there twice, or the non-metric end moves and the mass
+            is not known.
         """
         components = dynamics.components
         all_names = tuple(channel.name for channel in channels)
+        twice = [name for name in dict.fromkeys(all_names) if all_names.count(name) > 1]
+        if twice:
+            raise ValueError(f"{', '.join(twice)} stands twice among {', '.join(all_names)}: give each channel once")
         lacking = [name for name in components if name not in all_names]
         if lacking:
             raise ValueError(
@@ -132,12 +136,11 @@ class Columns:
         n = len(components)
         names = (*components, *(one.name for one in sensors), *angles)
         own = by_name[components[0]].delay
-        delays = [by_name[name].delay - own for name in names[: n + len(sensors)]]
         return cls(
             all_names=all_names,
             names=names,
             places=[all_names.index(name) for name in names],
-            late=[*delays, *(0.0 for _ in angles)],
+            late=[by_name[name].delay - own for name in names],
             limits=np.array([by_name[name].limit for name in components]),
             platform=platform,
             specific=np.array([one.specific for one in sensors], dtype=np.bool_),

@@ -324,7 +324,7 @@ class LiveForce:
         if columns is None:
             raise AssertionError
         width = len(columns.names)
-        self._aligner = Aligner([late * self.rate for late in columns.late])
+        self._aligner = Aligner([late * self.rate for late in columns.late], loads=n)
         self._decimator = Decimator(width, self.factor)
         self._motion = BaseMotion(columns, interval=self.interval, settings=self.settings.motion, gravity=self.gravity)
         self._origin, self._begun = first, 0

@@ -29,7 +29,7 @@ UNIT_LEVER: Final = 0.1
 class LiveChannel(SensorSpec):
     """A column of the readings in SI units, and what is known of its sensor.
 
-    Not all of that is used: of every sensor its delay, and of an accelerometer also noise, coupling (``"dc"`` or not),
+    Not all of that is used: of all channels the delay, and of an accelerometer also noise, coupling (``"dc"`` or not),
     axis and place.
 
     Attributes

@@ -138,6 +138,7 @@ class Ordinates:
 def _drifting_mains(power: Array, frequency: Array) -> Iterator[tuple[Hump, NDArray[np.bool_]]]:
     """Narrow bands at frequencies of the mains, as a line that drifts makes them, each with its ordinates, (m,)."""
     limit = 1.5 * float(np.log(power.size / UNLIKELY))
+    taken = np.zeros(power.size, dtype=bool)
     for mains in MAINS:
         bands = []
         for number in range(1, MOST_HARMONICS + 1):
@@ -155,7 +156,10 @@ def _drifting_mains(power: Array, frequency: Array) -> Iterator[tuple[Hump, NDAr
             variance = 2 * float(np.sum(excess)) * float(frequency[1])
             bands.append((number, Hump(middle, across / middle, variance / (np.pi * across)), near))
         if len(bands) > 1 or (bands and bands[0][0] == 1):
-            yield from ((hump, near) for _, hump, near in bands)
+            for _, hump, near in bands:
+                if not (near & taken).any():  # 300 Hz belongs to both
+                    taken |= near
+                    yield hump, near
 
 
 def _lines(power: Array) -> NDArray[np.bool_]:

@@ -375,9 +375,10 @@ def share_seen(present: NDArray[np.bool_]) -> float:
 
 
 def _parts(values: Array) -> list[Array]:
-    """Parts of a record of which one periodogram is taken each, half of each in the next."""
+    """Parts of a record of which one periodogram is taken each, half of each or more in the next, from end to end."""
     length = min(values.size, LONGEST)
-    return [values[k : k + length] for k in range(0, values.size - length + 1, max(length // 2, 1))]
+    number = -(-(values.size - length) // max(length // 2, 1)) + 1
+    return [values[k : k + length] for k in np.linspace(0, values.size - length, number).astype(int)]
 
 
 def _smeared_gain(dynamics: ModalModel, frequency: Array) -> Array:

@@ -4,7 +4,6 @@ import { number } from "./charts.js";
 import { $, element, press } from "./dom.js";
 import { clockTime, counters, page, written } from "./shown.js";
 
-const HIGH = 0.8; // part of a limit from which on a load is shown as high, while there is no alarm
 const BEEP = 2000; // time from one sound to the next [ms]
 
 let sound = null; // what makes it: only after a press, as browsers want
@@ -38,10 +37,7 @@ function worst() {
 function nearest() {
   let found = null;
   for (const [name, reading] of Object.entries(page.numbers.readings ?? {}))
-    if (reading.state === "high") {
-      const share = reading.limit ?? reading.percent / 100;
-      if (share >= HIGH && (!found || share > found.share)) found = { name, share };
-    }
+    if (reading.state === "high" && (!found || reading.limit > found.share)) found = { name, share: reading.limit };
   return found;
 }
 

@@ -204,13 +204,14 @@ function resultOf(check) {
   const head = ["", "Change (95 %)", "Allowed"].map((text, k) => element("th", { class: k ? "n" : "" }, text));
   const body = check.rows.map((row) => {
     const [words, kind] = VERDICTS[row.verdict],
-      unit = row.unit.replace("*", "·");
+      unit = row.unit ? ` [${row.unit.replace("*", "·")}]` : "",
+      read = row.change !== null;
     return element(
       "tr",
       {},
-      element("td", { class: kind, title: words }, `${words.slice(0, 1)} ${row.channel} [${unit}]`),
-      element("td", { class: "n" }, between(row.change, row.expanded)),
-      element("td", { class: "n" }, between(row.expected, row.tolerance)),
+      element("td", { class: kind, title: words }, `${words.slice(0, 1)} ${row.channel}${unit}`),
+      element("td", { class: "n" }, read ? between(row.change, row.expanded) : "no readings"),
+      element("td", { class: "n" }, read ? between(row.expected, row.tolerance) : ""),
     );
   });
   return element(

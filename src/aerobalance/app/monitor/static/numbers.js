@@ -186,8 +186,9 @@ function showLoad(name, parts, reading) {
   }
   parts.felt.textContent = rounded(reading.mean, spread);
   parts.ends.textContent = meaning(parts, "felt", reading);
-  parts.meter.gauge.hidden = reading.percent === null && reading.limit === null;
-  setGauge(parts.meter, reading.limit ?? (reading.percent ?? 0) / 100);
+  parts.meter.gauge.hidden = reading.percent === null && reading.limit === null && reading.state !== "over";
+  const share = reading.limit ?? (reading.percent ?? 0) / 100;
+  setGauge(parts.meter, reading.state === "over" ? Math.max(1, share) : share); // of a limit at zero there is no share
   const words = [];
   if (limits[name] && reading.limit !== null) words.push(`${number(100 * reading.limit, 3)} % of its limit`);
   if (halves[name]) words.push(`${number(reading.percent, 3)} % of half range`);

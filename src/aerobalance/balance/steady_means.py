@@ -1,0 +1,61 @@
+"""Means of records at rest, zeros and wind-off loads, and their uncertainty."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from aerobalance.recording.channel import Array
+
+BATCHES: Final = 20
+"""Parts of a record, at most, whose means tell the uncertainty of the mean of the whole."""
+
+
+def batch_means(table: Array) -> Array:
+    """Means of up to 20 equal parts of columns, shape (parts, c)."""
+    batches = max(min(BATCHES, table.shape[0] // 2), 1)
+    length = table.shape[0] // batches
+    return np.asarray(table[: batches * length].reshape(batches, length, -1).mean(axis=1))
+
+
+def variance_of_mean(table: Array) -> Array:
+    """Variance of column means by batch means, which holds for ringing and hum too, shape (c,)."""
+    means = batch_means(table)
+    if len(means) < 2:
+        return np.asarray(table.var(axis=0, ddof=1) / table.shape[0])
+    return np.asarray(means.var(axis=0, ddof=1) / len(means))
+
+
+class MeanOfRecords(NamedTuple):
+    """Mean over records of the same load, each with the same weight.
+
+    Attributes
+    ----------
+    values, variance
+        Of the mean, shape (c,).
+    between
+        Variance of the mean by what the records differ by alone, shape (c,); 0 for one.
+    """
+
+    values: Array
+    variance: Array
+    between: Array
+
+
+def mean_of_records(means: Sequence[Array] | Array, variances: Sequence[Array] | Array) -> MeanOfRecords:
+    """Mean of the means of records, and its variance: that within them, or that between them where it is larger.
+
+    So the variance is that of a random-effects model: what records differ by beyond their own uncertainty is an error
+    of each of them.
+
+    Parameters
+    ----------
+    means, variances
+        Of each record, shape (c,).
+    """
+    count = len(means)
+    within = np.sum(variances, axis=0) / count**2
+    between = np.var(means, axis=0, ddof=1) / count if count > 1 else np.zeros_like(within)
+    return MeanOfRecords(np.mean(means, axis=0), np.maximum(within, between), between)
