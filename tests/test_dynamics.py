@@ -53,6 +53,15 @@ def test_dynamics_show_their_further_modes():
     assert "further mode 171 Hz, damping ratio 0.008, share 0.1" in shown
 
 
+def test_dynamics_of_a_moment_have_its_units():
+    """The mass of a moment has its lever, kg*m: of N*m the stiffness per metre is N, and the damping N*s."""
+    shown = repr(Dynamics("PM", 10.0, 1e6, 50.0))
+    assert "mass 10 kg*m\n" in shown
+    assert "stiffness 1e+06 N\n" in shown
+    assert "damping 50 N*s\n" in shown
+    assert "stiffness 1e+06 N/m\n" in repr(Dynamics("NF", 10.0, 1e6, 50.0))
+
+
 def test_critical_damping_is_the_limit():
     time = np.linspace(0, 1, 200)
     w0 = CRITICAL.angular_frequency

@@ -184,8 +184,8 @@ def _moving_ground(ring: Ring, dynamics: Dynamics, recording: Recording) -> list
         return []
     text = (
         f"the ground end moves after the release ({moving:.2g} m/s^2 rms, a load of "
-        f"{dynamics.mass * moving:.3g} N); the fit takes it at rest, so stiffness and damping are those of "
-        "balance and support together"
+        f"{dynamics.mass * moving:.3g} {si_unit(dynamics.component)}); the fit takes it at rest, so stiffness and "
+        "damping are those of balance and support together"
     )
     return [
         Doubt("moving ground", dynamics.component, text, "hold the ground end, or shake it and use `rig`", None, "1")
