@@ -2,6 +2,8 @@
 
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -10,8 +12,10 @@ from scipy.stats import chi2, norm
 
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.identification.free_decay.decay_doubts import _moving_ground
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.identification.free_decay.log_decrement import extrema_fit
+from aerobalance.identification.free_decay.waveform import Ring
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.errors import DataQualityWarning, FitError
@@ -430,3 +434,22 @@ def test_linear_ringing_shows_no_amplitude_dependence(rng):
     # the last, of 2 N noise: about 1.4e-3 and 1e-5
     assert found.u_damping < 5e-3
     assert found.u_frequency < 5e-5
+
+
+def test_an_infinite_reading_is_a_missing_one(rng):
+    load = release(2.0) + rng.normal(0, 2, clock(2.0).size)
+    known = identify_decay(record(load), mass=T128.mass).dynamics
+    load[1234] = np.inf
+    found = identify_decay(record(load), mass=T128.mass).dynamics
+    assert found.identified_load == known.identified_load
+    assert abs(found.damping - T128.damping) < 5 * found.uncertainty("damping")
+
+
+@pytest.mark.parametrize("start", [0.01, -0.001])
+def test_a_ground_end_that_moves_is_named_where_the_release_is_before_the_first_reading(start):
+    time = clock(2.0)
+    channels = {"ground_acceleration": Channel("ground_acceleration", np.sin(300 * time), "m/s^2")}
+    moved = replace(record(release(2.0)), channels=channels)
+    ring = cast("Ring", SimpleNamespace(start=start, amplitude=1000.0))
+    (doubt,) = _moving_ground(ring, T128, moved)
+    assert "0.71 m/s^2 rms" in doubt.text

@@ -177,7 +177,7 @@ def _moving_ground(ring: Ring, dynamics: Dynamics, recording: Recording) -> list
     if name not in recording:
         return []
     ground = recording.channel(name)
-    after = ground.values[int(np.ceil(ring.start * recording.rate)) :]
+    after = ground.values[max(int(np.ceil(ring.start * recording.rate)), 0) :]
     after = after[np.isfinite(after)]
     moving = np.sqrt(max(float(np.var(after)) - 1.25 * channel_noise(ground) ** 2, 0.0)) if after.size else 0.0
     if dynamics.mass * moving <= MOVING * abs(ring.amplitude):

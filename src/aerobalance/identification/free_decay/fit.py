@@ -162,7 +162,7 @@ def identify_decay(
     ring = found.ring
     _check(ring, recording.name, component)
     kept = _kept_modes(ring, modes, f"{recording.name}, {component}")
-    largest = float(np.nanmax(np.abs(recording.channel(component).values)))
+    largest = float(np.abs(channel.values[np.isfinite(channel.values)]).max())
     dynamics = replace(_dynamics(ring, component, value, uncertainty, kept=kept), identified_load=largest)
     doubts = doubts_of(found, dynamics, recording, kept=kept)
     notes = [*map(str, doubts), *notes_of(found, recording)]
