@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from aerobalance.dynamics.independent import IndependentDynamics
+from aerobalance.dynamics.independent import NO_DYNAMICS, IndependentDynamics
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import PARAMETERS, Dynamics, extremum_ratio, stiffness_from_damped_frequency
 from aerobalance.recording.wording import with_u
@@ -51,6 +51,12 @@ def test_the_rate_of_a_free_decay_is_its_slope(dynamics):
 def test_dynamics_show_their_further_modes():
     shown = repr(T128.with_modes(Mode(171.0, 0.008, 0.1)))
     assert "further mode 171 Hz, damping ratio 0.008, share 0.1" in shown
+
+
+def test_where_no_dynamics_are_known_there_are_no_parameters():
+    assert NO_DYNAMICS.parameter_values.shape == (0,)
+    assert NO_DYNAMICS.covariance.shape == (0, 0)
+    assert NO_DYNAMICS.with_parameters(np.zeros(0)).parts == {}
 
 
 def test_dynamics_of_a_moment_have_its_units():
