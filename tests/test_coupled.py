@@ -243,6 +243,7 @@ def test_modes_of_matrices_that_are_known_exactly_have_no_uncertainty():
         ({"damping": np.full((2, 2), np.nan)}, "damping must have shape"),
         ({"damping": -1e-4 * np.eye(2)}, "grows or never ends"),
         ({"inertia": np.diag([-1e-6, 1e-6])}, "grows or never ends"),
+        ({"inertia": np.full((2, 2), 1e-6)}, "inertia has no inverse"),
         ({"covariance": np.eye(3)}, r"covariance must have shape \(8, 8\)"),
         ({"covariance": -np.eye(8)}, "variances of zero or more"),
     ],

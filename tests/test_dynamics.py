@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import quad, solve_ivp
 
-from aerobalance.dynamics.independent import IndependentDynamics
+from aerobalance.dynamics.independent import NO_DYNAMICS, IndependentDynamics
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import PARAMETERS, Dynamics, extremum_ratio, stiffness_from_damped_frequency
 from aerobalance.recording.wording import with_u
@@ -51,6 +51,21 @@ def test_the_rate_of_a_free_decay_is_its_slope(dynamics):
 def test_dynamics_show_their_further_modes():
     shown = repr(T128.with_modes(Mode(171.0, 0.008, 0.1)))
     assert "further mode 171 Hz, damping ratio 0.008, share 0.1" in shown
+
+
+def test_where_no_dynamics_are_known_there_are_no_parameters():
+    assert NO_DYNAMICS.parameter_values.shape == (0,)
+    assert NO_DYNAMICS.covariance.shape == (0, 0)
+    assert NO_DYNAMICS.with_parameters(np.zeros(0)).parts == {}
+
+
+def test_dynamics_of_a_moment_have_its_units():
+    """The mass of a moment has its lever, kg*m: of N*m the stiffness per metre is N, and the damping N*s."""
+    shown = repr(Dynamics("PM", 10.0, 1e6, 50.0))
+    assert "mass 10 kg*m\n" in shown
+    assert "stiffness 1e+06 N\n" in shown
+    assert "damping 50 N*s\n" in shown
+    assert "stiffness 1e+06 N/m\n" in repr(Dynamics("NF", 10.0, 1e6, 50.0))
 
 
 def test_critical_damping_is_the_limit():

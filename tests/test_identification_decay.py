@@ -2,6 +2,8 @@
 
 import warnings
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -10,9 +12,12 @@ from scipy.stats import chi2, norm
 
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.identification.free_decay.decay_doubts import _moving_ground
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.identification.free_decay.log_decrement import extrema_fit
+from aerobalance.identification.free_decay.waveform import Ring
 from aerobalance.recording.channel import Channel
+from aerobalance.recording.components import si_unit
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation import CableCut, Sensor
@@ -359,16 +364,16 @@ def test_a_few_periods_that_seem_to_grow_lead_nowhere_else(draw):
         assert abs(getattr(fit.dynamics, name) - getattr(T128, name)) < 5 * fit.dynamics.uncertainty(name)
 
 
-@pytest.mark.parametrize(("component", "ending"), [("AF", ""), ("NF", "_z"), ("NF", "")])
+@pytest.mark.parametrize(("component", "ending"), [("AF", ""), ("NF", "_z"), ("NF", ""), ("PM", "")])
 @pytest.mark.parametrize("moving", [True, False])
 def test_a_ground_end_that_moves_is_named(moving, component, ending, rng):
     """0.3 m/s^2 of amplitude are 0.21 m/s^2 rms and a load of 38 N, of a ringing of 1020 N: a fiftieth counts."""
     time = clock(2.0)
     recording = noisy(rng, release(2.0))
     ground = 0.3 * moving * np.sin(2 * np.pi * 20 * time) + rng.normal(0, 0.02, time.size)
-    name = f"ground_acceleration{ending}"
+    name, unit = f"ground_acceleration{ending}", si_unit(component)
     channels = {
-        component: replace(recording.channel("AF"), name=component),
+        component: replace(recording.channel("AF"), name=component, unit=unit),
         name: Channel(name, ground, "m/s^2"),
     }
     with warnings.catch_warnings():
@@ -376,7 +381,9 @@ def test_a_ground_end_that_moves_is_named(moving, component, ending, rng):
         fit = identify_decay(replace(recording, channels=channels), component=component, mass=T128.mass)
     assert [doubt.kind for doubt in fit.doubts] == (["moving ground"] if moving else [])
     if moving:
-        stated = float(fit.doubts[0].text.split("a load of ")[1].split(" N")[0])
+        told, of = fit.doubts[0].text.split("a load of ")[1].split(")")[0].split()
+        stated = float(told)
+        assert of == ("N*m" if component == "PM" else "N")
         assert stated == pytest.approx(0.3 / np.sqrt(2) * T128.mass, rel=0.05)
 
 
@@ -427,3 +434,22 @@ def test_linear_ringing_shows_no_amplitude_dependence(rng):
     # the last, of 2 N noise: about 1.4e-3 and 1e-5
     assert found.u_damping < 5e-3
     assert found.u_frequency < 5e-5
+
+
+def test_an_infinite_reading_is_a_missing_one(rng):
+    load = release(2.0) + rng.normal(0, 2, clock(2.0).size)
+    known = identify_decay(record(load), mass=T128.mass).dynamics
+    load[1234] = np.inf
+    found = identify_decay(record(load), mass=T128.mass).dynamics
+    assert found.identified_load == known.identified_load
+    assert abs(found.damping - T128.damping) < 5 * found.uncertainty("damping")
+
+
+@pytest.mark.parametrize("start", [0.01, -0.001])
+def test_a_ground_end_that_moves_is_named_where_the_release_is_before_the_first_reading(start):
+    time = clock(2.0)
+    channels = {"ground_acceleration": Channel("ground_acceleration", np.sin(300 * time), "m/s^2")}
+    moved = replace(record(release(2.0)), channels=channels)
+    ring = cast("Ring", SimpleNamespace(start=start, amplitude=1000.0))
+    (doubt,) = _moving_ground(ring, T128, moved)
+    assert "0.71 m/s^2 rms" in doubt.text

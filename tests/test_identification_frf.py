@@ -95,6 +95,8 @@ def test_tables_that_cannot_carry_a_result(rng):
         identify_frf(table(np.arange(1.0, 10.0), rng), mass=2.0)
     with pytest.raises(FitError, match="too few"):
         identify_frf(table([900.0]), mass=2.0)
+    with pytest.raises(FitError, match=r"5 point\(s\) at 1 frequency are too few .* three different frequencies"):
+        identify_frf(table([900.0] * 5), mass=2.0)
 
 
 def test_wrong_tables_are_named():

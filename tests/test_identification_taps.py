@@ -115,6 +115,34 @@ def test_a_faulty_force_is_named_and_does_no_harm(rng, hammer, kind):
         assert [tap.used for tap in found.taps.taps] == ["force and ringing", *["ringing"] * 3]
 
 
+def test_a_gain_that_one_recording_states_is_not_that_of_all(rng):
+    """A force off by 2 % is no doubt where nothing is stated (1 %), and was where another recording stated 0.1 %."""
+    one, other = (one_tapped(rng, blows=2, hammer=Hammer(noise=1.0, gain=1.02)) for _ in range(2))
+    force = replace(one.channel("impact_force"), relative_uncertainty=1e-3)
+    well = replace(one, name="well known", channels={**one.channels, "impact_force": force})
+    assert _one([other]).doubts == ()
+    assert _one([well, other]).doubts == ()
+    (doubt,) = _one([well]).doubts
+    assert doubt.kind == "force gain"
+    assert "known to 0.1 %" in doubt.text
+
+
+def _delayed(record: ab.Recording, **delays: float) -> ab.Recording:
+    """The recording with delays stated."""
+    stated = {name: replace(record.channel(name), delay=delay) for name, delay in delays.items()}
+    return replace(record, channels={**record.channels, **stated})
+
+
+@pytest.mark.parametrize("delay", [1e-4, 1.5e-3])
+def test_a_delay_that_the_channels_state_is_taken_off(rng, delay):
+    """Half a sample, and seven and a half; the doubt advised to state it, and stood where it was stated."""
+    tapped = one_tapped(rng, blows=2, hammer=Hammer(noise=1.0, delay=delay))
+    found = _one(_delayed(tapped, AF=2e-4, impact_force=delay + 2e-4))
+    assert found.doubts == ()
+    assert abs(found.taps.delay[0]) < 5 * found.taps.delay[1] < 1e-5
+    assert np.max(np.abs(_z(found))) < 5
+
+
 def test_taps_that_are_all_double_are_refused(rng):
     def bounced(made):
         return tuple(Blow(blow.instant + 0.02, 400.0, 0.004) for blow in made)
@@ -252,10 +280,10 @@ def test_a_shaker_on_the_model_tells_one_component(rng):
     assert _within(float(np.sum(np.square(z))), 2 * count)
 
 
-def _shaken(rng: np.random.Generator, *, gain: float = 1.0) -> ab.Recording:
+def _shaken(rng: np.random.Generator, *, gain: float = 1.0, delay: float = 0.0) -> ab.Recording:
     """AF of T-128 with 2 N of noise, pushed by 100 N from 10 to 300 Hz for 3 s."""
     push = band_noise(rng, low=10.0, high=300.0, rms=100.0, period=4.0)
-    hammer = Hammer(noise=1.0, gain=gain)
+    hammer = Hammer(noise=1.0, gain=gain, delay=delay)
     return Tapping(ONE, np.array([1.0]), (), hammer=hammer, noise=np.array([2.0]), rate=5000.0, shaker=push).record(
         3.0, rng
     )
@@ -277,8 +305,9 @@ def test_a_shaker_tells_a_force_across_as_it_does_that_along(component, rng):
 
 
 def test_a_gain_of_the_shakers_force_is_named_and_does_no_harm(rng):
-    found = _one(_shaken(rng, gain=1.1))
+    found = _one(_delayed(_shaken(rng, gain=1.1, delay=1e-4), impact_force=1e-4))
     assert [doubt.kind for doubt in found.doubts] == ["force gain"]
+    assert abs(found.taps.delay[0]) < 6 * found.taps.delay[1] < 1e-5
     gain, u = found.taps.gain
     assert abs(gain * 1.1 - 1) < 6 * u < 0.01
     assert np.max(np.abs(_z(found))) < 5

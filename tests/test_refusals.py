@@ -240,6 +240,7 @@ POLES = np.array([-1 + 100j * (k + 1) for k in range(6)])
         (POLES, np.where(np.arange(6) == 2, np.nan, SHAPES), "the shapes hold no SF"),
         (-POLES.conj(), SHAPES, "a mode does not decay"),
         (POLES, np.ones((6, 6)) + 0j, "not independent of each other"),
+        (POLES, np.diag([0, 1, 1, 1, 1, 1]) + 0j, "a mode has a shape of zeros"),
     ],
 )
 def test_modes_that_make_no_dynamics(poles, shapes, message):

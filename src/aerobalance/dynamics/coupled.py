@@ -105,7 +105,11 @@ class CoupledDynamics(BalanceDynamics):
                 raise ValueError(f"{name} must have shape ({2 * n * n}, {2 * n * n}), not {value.shape}")
             if not np.isfinite(value).all() or (np.diag(value) < 0).any():
                 raise ValueError(f"{name} must be finite, with variances of zero or more")
-        if not (np.linalg.eigvals(self._generator).real < 0).all():
+        try:
+            generator = self._generator
+        except np.linalg.LinAlgError:
+            raise ValueError("inertia has no inverse: rows of it are zeros or depend on each other") from None
+        if not (np.linalg.eigvals(generator).real < 0).all():
             raise ValueError("inertia and damping make a free oscillation that grows or never ends")
 
     def __repr__(self) -> str:

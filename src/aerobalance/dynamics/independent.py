@@ -156,12 +156,12 @@ class IndependentDynamics(Mapping[str, Dynamics], BalanceDynamics):
     @property
     def covariance(self) -> Array:
         """Covariance of these, shape (p, p)."""
-        return np.asarray(block_diag(*(part.covariance for part in self.parts.values())))
+        return np.asarray(block_diag(np.zeros((0, 0)), *(part.covariance for part in self.parts.values())))
 
     def with_parameters(self, values: Array, mass: RigidMass | None = None) -> IndependentDynamics:
         """The same with other values of the parameters, shape (p,), known exactly."""
         ends = np.cumsum([len(part.parameters) for part in self.parts.values()])
-        own = np.split(values, ends[:-1])
+        own = np.split(values, ends)[:-1]
         parts = zip(self.parts.items(), own, strict=True)
         return IndependentDynamics({name: part.with_parameters(some) for (name, part), some in parts})
 

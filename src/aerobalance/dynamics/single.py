@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from aerobalance.dynamics.modal import ModalModel, Mode
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.components import COMPONENTS, dynamics_units
 from aerobalance.recording.gravity import gravity_share
 from aerobalance.recording.wording import with_u
 
@@ -45,9 +45,11 @@ class Dynamics(ModalModel):
     mass
         Moving mass M: live end of the balance and model [kg; kg*m for a moment on one axis of motion].
     stiffness
-        Stiffness k of the sensing element along the component [N/m]; with `mass` the frequency of the first mode.
+        Stiffness k of the sensing element along the component [N/m; N for a moment]; with `mass` the frequency of the
+        first mode.
     damping
-        Damping coefficient b of the first mode, force per velocity of the extension [N*s/m].
+        Damping coefficient b of the first mode, force per velocity of the extension [N*s/m; N*s for
+        a moment].
     delay
         Time by which the load readings lag the ground acceleration [s]; may have either sign.
     covariance
@@ -55,7 +57,7 @@ class Dynamics(ModalModel):
     further_modes
         The m modes beside the first.
     identified_load
-        Largest load of the record that they were identified from [N]; 0 where that is not known.
+        Largest load of the record that they were identified from [N; N*m]; 0 where that is not known.
     """
 
     component: str
@@ -89,7 +91,7 @@ class Dynamics(ModalModel):
 
     def __repr__(self) -> str:
         told = {name: self.uncertainty(name) for name in (*PARAMETERS, "natural_frequency", "damping_ratio")}
-        units = dict(zip(told, ("kg", "N/m", "N*s/m", "s", "Hz", ""), strict=True))
+        units = dynamics_units(self.component) | {"damping_ratio": ""}
         shown = [name for name in told if name != "delay" or self.delay or told[name]]
         rows = [f"{name} {with_u(getattr(self, name), told[name], units[name])}".replace("_", " ") for name in shown]
         further = zip(self.further_modes, self.modes.uncertainties[1:], strict=True)
@@ -102,7 +104,7 @@ class Dynamics(ModalModel):
         return (self.component,)
 
     def weight(self, name: str, *, pitch: Array, roll: Array, gravity: float) -> Array:
-        """Weight of the moving mass along the component [N], shape (n,), at attitudes of shape (n,) [rad]."""
+        """Weight of the moving mass along the component [N; N*m], shape (n,), at attitudes of shape (n,) [rad]."""
         return self.mass * gravity * gravity_share(name, pitch=pitch, roll=roll)
 
     @property

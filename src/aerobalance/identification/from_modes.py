@@ -60,6 +60,10 @@ def dynamics_of_modes(
         raise FitError(f"the shapes hold no {', '.join(lacking)}")
     if (poles.real >= 0).any():
         raise FitError("a mode does not decay")
+    if not shapes.any(axis=1).all():
+        raise FitError(
+            "a mode has a shape of zeros; a mode that loads nothing is none: leave it out, or give its shape"
+        )
     columns = (shapes / np.linalg.norm(shapes, axis=1, keepdims=True)).T
     found = from_modes(np.concatenate([poles, poles.conj()]), np.hstack([columns, columns.conj()]))
     if found is None or not all(np.isfinite(part).all() for part in found):

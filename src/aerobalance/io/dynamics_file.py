@@ -44,7 +44,7 @@ from aerobalance.io.coupled_part import (
     coupled_from,
     coupled_payload,
 )
-from aerobalance.recording.components import COMPONENTS, MOMENTS, mass_unit, si_unit
+from aerobalance.recording.components import COMPONENTS, dynamics_units, si_unit
 from aerobalance.recording.errors import ReadError, warn_quality
 
 Kind = Literal["axial", "coupled"]
@@ -82,19 +82,6 @@ class _SeparateFile(Loose):
 
 _FORMER_UNITS: Final = {"stiffness": "N/m", "damping": "N*s/m"}
 """What earlier files say of moments too, whose numbers are the same."""
-
-
-def dynamics_units(component: str) -> dict[str, str]:
-    """Units of the parameters in dynamics.json; of a moment the mass has its lever, and with it what goes with it."""
-    moment = component in MOMENTS
-    return {
-        "mass": mass_unit(component),
-        "stiffness": "N" if moment else "N/m",
-        "damping": "N*s" if moment else "N*s/m",
-        "natural_frequency": "Hz",
-        "damping_ratio": "1",
-        "delay": "s",
-    }
 
 
 def dynamics_payload(dynamics: Dynamics, *, details: Mapping[str, object] | None = None) -> dict[str, object]:

@@ -102,6 +102,19 @@ def mass_unit(component: str) -> str:
     return "kg*m" if component in MOMENTS else "kg"
 
 
+def dynamics_units(component: str) -> dict[str, str]:
+    """Return the units of the parameters of dynamics; a moment's mass has its lever, and with it what goes with it."""
+    moment = component in MOMENTS
+    return {
+        "mass": mass_unit(component),
+        "stiffness": "N" if moment else "N/m",
+        "damping": "N*s" if moment else "N*s/m",
+        "natural_frequency": "Hz",
+        "damping_ratio": "1",
+        "delay": "s",
+    }
+
+
 def density_unit(component: str) -> str:
     """Return the unit of a spectral density of a load component."""
     unit = si_unit(component)

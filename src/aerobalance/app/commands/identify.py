@@ -26,9 +26,9 @@ from aerobalance.identification.identify import identify
 from aerobalance.io import (
     read_table,
 )
-from aerobalance.io.dynamics_file import dynamics_payload, dynamics_units, write_dynamics
+from aerobalance.io.dynamics_file import dynamics_payload, write_dynamics
 from aerobalance.io.mass_file import read_weighing
-from aerobalance.recording.components import density_unit, si_unit
+from aerobalance.recording.components import density_unit, dynamics_units, si_unit
 from aerobalance.recording.errors import FitError, ReadError, warn_quality
 from aerobalance.recording.recording import Recording
 

@@ -16,8 +16,7 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.identification.base_excitation.paper_procedure import reference_fit
 from aerobalance.identification.base_excitation.sine_dwell import find_dwells
 from aerobalance.io.artefacts import provenance
-from aerobalance.io.dynamics_file import dynamics_units
-from aerobalance.recording.components import si_unit
+from aerobalance.recording.components import dynamics_units, si_unit
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
 

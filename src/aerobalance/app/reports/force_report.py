@@ -15,8 +15,7 @@ from aerobalance.dynamics.independent import IndependentDynamics
 from aerobalance.estimation.display import COVERAGE_FACTOR
 from aerobalance.estimation.result import ForceSummary
 from aerobalance.io.artefacts import provenance
-from aerobalance.io.dynamics_file import dynamics_units
-from aerobalance.recording.components import density_unit, si_unit
+from aerobalance.recording.components import density_unit, dynamics_units, si_unit
 from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.budget import component_budget, spectrum
 

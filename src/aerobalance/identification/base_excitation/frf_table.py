@@ -124,9 +124,12 @@ def identify_frf(table: ResponseTable, *, component: str = "AF", mass: float | t
     value, uncertainty = mass if isinstance(mass, tuple) else (mass, 0.0)
     if not 0 < value < np.inf or not 0 <= uncertainty < np.inf:
         raise ValueError(f"mass must be positive with an uncertainty of zero or more, not {value} and {uncertainty}")
-    points = table.frequency.size
-    if 2 * points <= 2 or np.unique(table.frequency).size < 2:
-        raise FitError(f"{table.name}: {points} point(s) are too few for natural frequency and damping; give three")
+    points, different = table.frequency.size, np.unique(table.frequency).size
+    if different < 2:
+        raise FitError(
+            f"{table.name}: {points} point(s) at {different} frequency are too few for natural frequency and damping; "
+            "give points at three different frequencies"
+        )
     start = _starting_values(table)
     parameters, chi2 = _fit(table, np.array([*start, 0.0]), free=[0, 1])
     free = [0, 1]

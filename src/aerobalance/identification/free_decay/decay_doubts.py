@@ -177,15 +177,15 @@ def _moving_ground(ring: Ring, dynamics: Dynamics, recording: Recording) -> list
     if name not in recording:
         return []
     ground = recording.channel(name)
-    after = ground.values[int(np.ceil(ring.start * recording.rate)) :]
+    after = ground.values[max(int(np.ceil(ring.start * recording.rate)), 0) :]
     after = after[np.isfinite(after)]
     moving = np.sqrt(max(float(np.var(after)) - 1.25 * channel_noise(ground) ** 2, 0.0)) if after.size else 0.0
     if dynamics.mass * moving <= MOVING * abs(ring.amplitude):
         return []
     text = (
         f"the ground end moves after the release ({moving:.2g} m/s^2 rms, a load of "
-        f"{dynamics.mass * moving:.3g} N); the fit takes it at rest, so stiffness and damping are those of "
-        "balance and support together"
+        f"{dynamics.mass * moving:.3g} {si_unit(dynamics.component)}); the fit takes it at rest, so stiffness and "
+        "damping are those of balance and support together"
     )
     return [
         Doubt("moving ground", dynamics.component, text, "hold the ground end, or shake it and use `rig`", None, "1")

@@ -63,11 +63,11 @@ class DecayFit:
     release_duration
         Time over which the load was released [s].
     height
-        Load held before the release less the load after [N].
+        Load held before the release less the load after [N; N*m].
     window
         First and last instant used, on the recording's clock [s].
     hum
-        Frequency [Hz] and amplitude [N] of every steady line found.
+        Frequency [Hz] and amplitude [N; N*m] of every steady line found.
     further_modes
         Frequency [Hz], damping ratio [1] and amplitude over the height [1] of every further decaying line found,
         whether it is part of the dynamics or not.
@@ -77,13 +77,14 @@ class DecayFit:
         Damping and frequency at the first amplitude and at the least, where they depend on it; then `dynamics` has
         their mean, and their spread in its covariance.
     force_density
-        Two-sided density near the natural frequency of a force that acts all along [N^2/Hz]; None where none shows.
+        Two-sided density near the natural frequency of a force that acts all along [N^2/Hz; (N*m)^2/Hz]; None
+        where none shows.
     residual_deviation
-        Standard deviation of the residuals [N]; where a force acts of those that it does not explain.
+        Standard deviation of the residuals [N; N*m]; where a force acts of those that it does not explain.
     degrees_of_freedom
         Samples used less parameters.
     residual_time, residuals
-        Residuals on the recording's clock, shape (m,) [s] and [N].
+        Residuals on the recording's clock, shape (m,) [s] and [N; N*m].
     notes
         What a reader of the result should know, each a sentence.
     doubts
@@ -161,7 +162,7 @@ def identify_decay(
     ring = found.ring
     _check(ring, recording.name, component)
     kept = _kept_modes(ring, modes, f"{recording.name}, {component}")
-    largest = float(np.nanmax(np.abs(recording.channel(component).values)))
+    largest = float(np.abs(channel.values[np.isfinite(channel.values)]).max())
     dynamics = replace(_dynamics(ring, component, value, uncertainty, kept=kept), identified_load=largest)
     doubts = doubts_of(found, dynamics, recording, kept=kept)
     notes = [*map(str, doubts), *notes_of(found, recording)]

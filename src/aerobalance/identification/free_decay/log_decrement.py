@@ -29,13 +29,13 @@ class ExtremaFit:
     frequency
         Frequency of free oscillation [Hz].
     stiffness
-        By (20) from that frequency [N/m].
+        By (20) from that frequency [N/m; N for a moment].
     damping
-        By (7) from the logarithms of the extrema [N*s/m].
+        By (7) from the logarithms of the extrema [N*s/m; N*s for a moment].
     instants, extrema
-        The extrema used, on the recording's clock, shape (m,) [s] and [N].
+        The extrema used, on the recording's clock, shape (m,) [s] and [N; N*m].
     fitted
-        What (7) gives for them [N].
+        What (7) gives for them [N; N*m].
     """
 
     frequency: float

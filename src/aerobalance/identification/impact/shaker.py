@@ -123,8 +123,9 @@ def _either_sign(
     for sign in (first, -first):
         values = -sign * lever * recording.channel(IMPACT_FORCE).values
         name = "ground_acceleration"  # of no axis: the force drives any component as the ground does
-        noise = recording.channel(IMPACT_FORCE).noise
-        moved = Channel(name, values, "m/s^2", noise=None if noise is None else abs(lever) * noise)
+        force = recording.channel(IMPACT_FORCE)
+        noise = None if force.noise is None else abs(lever) * force.noise
+        moved = Channel(name, values, "m/s^2", noise=noise, delay=force.delay)
         made = Recording.from_columns(
             recording.time, {component: recording.channel(component), name: moved}, name=recording.name
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 import numpy as np
@@ -108,6 +108,9 @@ class TapRecord:
         What was found.
     corner, u_corner
         Corner of the high-pass that the force's channel shows [Hz]; zero where none is, and its standard uncertainty.
+    delay
+        What is left of the delay of the force behind the loads that the channels state, once the force is advanced by
+        whole samples [s].
     """
 
     name: str
@@ -119,6 +122,7 @@ class TapRecord:
     taps: tuple[FoundTap, ...]
     corner: float
     u_corner: float
+    delay: float
 
     def instant(self, tap: FoundTap) -> float:
         """Instant of the largest force on the recording's clock [s]."""
@@ -144,7 +148,7 @@ def tap_record(recording: Recording, components: tuple[str, ...]) -> TapRecord:
     judged = np.array([channel_noise(channel) for channel in channels])
     largest = float(np.nanmax(np.nanmax(values, axis=0) - np.nanmin(values, axis=0)))
     noise = np.maximum(judged, ROUNDING * max(largest, np.finfo(float).tiny))
-    force = recording.channel(FORCE)
+    force, delay = _advanced(recording.channel(FORCE), channels, recording.rate)
     readings, scatter = _levelled(force)
     found = _contacts(readings, scatter, recording.rate)
     if not found:
@@ -161,7 +165,9 @@ def tap_record(recording: Recording, components: tuple[str, ...]) -> TapRecord:
         corner = 0.0
     usable = np.asarray(np.isfinite(values).all(axis=1), dtype=np.bool_)
     taps = _taps(readings, found, usable, recording.rate, scatter=scatter, raw=force.values)
-    return TapRecord(recording.name, recording.start, recording.rate, values, noise, scatter, taps, corner, u_corner)
+    return TapRecord(
+        recording.name, recording.start, recording.rate, values, noise, scatter, taps, corner, u_corner, delay
+    )
 
 
 def _usable(channel: Channel, name: str) -> Array:
@@ -172,6 +178,21 @@ def _usable(channel: Channel, name: str) -> Array:
     if np.count_nonzero(np.isfinite(channel.values) & ~limited) < FEWEST:
         raise FitError(f"{name}: fewer than {FEWEST} usable readings of {channel.name}; a tap needs many more")
     return np.where(limited, np.nan, channel.values)
+
+
+def _advanced(force: Channel, loads: list[Channel], rate: float) -> tuple[Channel, float]:
+    """The force advanced by whole samples against the loads, as their stated delays have it, and the rest [s].
+
+    Contacts are looked for in it, so that loads count as before or after a contact by when the hammer touched.
+    """
+    delay = force.delay - float(np.mean([channel.delay for channel in loads]))
+    count = round(delay * rate)
+    if not count:
+        return force, delay
+    values = np.full(force.values.size, np.nan)
+    source = slice(max(count, 0), values.size + min(count, 0))
+    values[source.start - count : source.stop - count] = force.values[source]
+    return replace(force, values=values), delay - count / rate
 
 
 def _levelled(force: Channel) -> tuple[Array, float]:

@@ -66,7 +66,8 @@ class Taps:
         Force as the static calibration of the balance has it over the reading of its channel, and its standard
         uncertainty [1]; None where no force was used.
     delay
-        Time by which the force lags the loads, and its standard uncertainty [s]; None where no force was used.
+        Time by which the force lags the loads beyond the delays that the channels state, and its standard uncertainty
+        [s]; None where no force was used.
     corner
         Corner of the high-pass that was undone in the force's channel [Hz]; zero for none.
     responses

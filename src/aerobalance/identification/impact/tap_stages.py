@@ -68,7 +68,9 @@ class PlacedTap:
             time=(rows - last) * interval,
             values=record.values[rows] / units.sizes,
             before=found.before.size,
-            instants=np.asarray(np.arange(first - last, 1) * interval, dtype=np.float64),
+            instants=np.asarray(
+                (np.arange(first - last, 1) - record.delay * record.rate) * interval, dtype=np.float64
+            ),
             force=found.force * interval,
             force_noise=float(noise * interval),
             sampling=sampling_error(found.force),

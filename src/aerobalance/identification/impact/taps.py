@@ -266,7 +266,7 @@ def _fitted(
     _check_seen(free, taps, names)
     doubts = [*left_out(records, component), *missing_mode(ringing.peak, component)]
     stated = [fit_point(place, names, sizes) for place in places]
-    u_gain = max(recording.channel(IMPACT_FORCE).relative_uncertainty for recording in recordings) or U_GAIN
+    u_gain = max(recording.channel(IMPACT_FORCE).relative_uncertainty or U_GAIN for recording in recordings)
     fit = free
     linked, scale = any(tap.found.fault is None for tap in taps), 1.0
     if free.internal and not linked:
