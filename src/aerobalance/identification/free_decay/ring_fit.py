@@ -325,7 +325,6 @@ def _colour(left: Array, turns: float, number: NDArray[np.intp]) -> float:
     if band.size < 12:
         return 1.0
     level = float(band.mean())
-    independent = (
-        band.size * left.size / every.size
-    )  # where readings are missing, ordinates depend on their neighbours
+    # where readings are missing, ordinates depend on their neighbours
+    independent = band.size * left.size / every.size
     return level if level > 1 + 4 / np.sqrt(independent) else 1.0
