@@ -108,7 +108,10 @@ class CoupledDynamics(BalanceDynamics):
         try:
             generator = self._generator
         except np.linalg.LinAlgError:
-            raise ValueError("inertia has no inverse: rows of it are zeros or depend on each other") from None
+            # a ValueError by class, which whoever searches for dynamics passes over
+            raise np.linalg.LinAlgError(
+                "inertia has no inverse: rows of it are zeros or depend on each other"
+            ) from None
         if not (np.linalg.eigvals(generator).real < 0).all():
             raise ValueError("inertia and damping make a free oscillation that grows or never ends")
 
