@@ -424,7 +424,7 @@ def test_a_resonance_above_half_the_rate_tells_no_change(rng):
 
 def test_delays_of_channels_do_not_hide_how_resonances_have_changed(rng):
     """The same readings, one channel two milliseconds late and said to be: the same changes."""
-    late, count = 8, 8000
+    late, count = 8, 16_000
     dynamics = replace(pair(), mass=None)
     force = 0.03 * SIZE * band(rng, 1000, count=count + late, rate=PAIR_RATE, columns=2)
     loads = dynamics.balance_load(force, interval=1 / PAIR_RATE) + NOISE * rng.normal(size=force.shape)
