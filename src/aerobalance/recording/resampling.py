@@ -173,9 +173,9 @@ def on_one_delay(readings: Array, channels: Sequence[Channel], *, delay: float, 
             continue
         moved = readings.copy() if moved is readings else moved
         late = round(by / interval, PLACES)
-        place = np.arange(count) - late
         gap = ~known if late == round(late) else np.convolve(~known, np.ones(2 * REACH), "same") > 0
-        lost = (place < -1) | (place > count) | gap[np.clip(np.ceil(place).astype(np.intp), 0, count - 1)]
+        after = np.clip(np.ceil(np.arange(count) - late).astype(np.intp), 0, count - 1)
+        lost = held_by_delays(count, delays=[by], interval=interval) | gap[after]
         filled = interpolate_gaps_linearly(readings[:, index])
         moved[:, index] = np.where(lost, np.nan, fractional_delay(filled, delay=by, interval=interval))
     return moved
