@@ -16,7 +16,8 @@ from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.evidence import Evidence
 from aerobalance.estimation.checks.mains_hum import hum_doubts
 from aerobalance.estimation.checks.resolution import resolution_doubt, rounding_error, step_of
-from aerobalance.estimation.checks.resonance_change import resonance_changes
+from aerobalance.estimation.checks.resonance_change import ResonanceChange, resonance_changes
+from aerobalance.estimation.checks.resonance_change import _told as change_told
 from aerobalance.estimation.error_sources import Noise
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.prior import Observation, SpectralPrior
@@ -435,6 +436,22 @@ def test_delays_of_channels_do_not_hide_how_resonances_have_changed(rng):
         assert one.frequency is not None
         assert other.frequency == pytest.approx(one.frequency, abs=0.1 * one.u_frequency)
         assert other.damping_ratio == pytest.approx(one.damping_ratio, abs=0.1 * one.u_damping_ratio)
+
+
+@pytest.mark.parametrize("width", [0.3, 0.5, 0.8], ids="width {}".format)
+def test_changes_of_resonances_are_the_mean_and_width_of_any_likelihood(width):
+    """Two normal distributions of deviation 0.8, 1.2 apart: flat between, and of the variance 0.8^2 + 0.6^2 = 1."""
+    ratio, at = 0.02, (0.3, 0.1)
+
+    def likelihood(change):
+        places = (change / (ratio, 1.0) - at) / width
+        return float(np.sum(np.logaddexp(*(-((places - peak) ** 2) / (2 * 0.8**2) for peak in (-0.6, 0.6)))))
+
+    found = change_told(ResonanceChange("AF", 60.0), ratio, likelihood)
+    assert found.frequency == pytest.approx(at[0] * ratio, abs=0.03 * width * ratio)
+    assert found.u_frequency == pytest.approx(width * ratio, rel=0.03)
+    assert found.damping_ratio == pytest.approx(at[1], abs=0.03 * width)
+    assert found.u_damping_ratio == pytest.approx(width, rel=0.03)
 
 
 @pytest.mark.parametrize(("count", "held"), [(600, True), (64, False)], ids=["a channel that stands still", "short"])

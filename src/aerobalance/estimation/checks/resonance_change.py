@@ -1,9 +1,9 @@
 """What a record says of stiffness and damping: how far the resonances have moved from those of the dynamics.
 
 The likelihood of the readings is compared for frequencies and damping ratios a little beside the known ones; its slope
-and its curvature give the change and its standard uncertainty, run by run, long before one record alone would be
-enough for a doubt (`aerobalance.estimation.checks`). With the mass unchanged, stiffness goes with the square of the
-frequency, and damping with frequency times damping ratio.
+and its curvature (in a short record its mean and its width) give the change and its standard uncertainty, run by run,
+long before one record alone would be enough for a doubt (`aerobalance.estimation.checks`). With the mass unchanged,
+stiffness goes with the square of the frequency, and damping with frequency times damping ratio.
 """
 
 from __future__ import annotations
@@ -36,6 +36,19 @@ ROUNDS: Final = 2
 
 MOST: Final = (4.0, 1.5)
 """Changes beyond which nothing is said, in the same units: a resonance that moved by more is a doubt of its own."""
+
+CURVED: Final = 0.15
+"""Standard uncertainty of the frequency, in the same unit, up to which it is that of the curvature: in shorter records
+the likelihood is no parabola, and its curvature at the peak changes threefold from one to the next."""
+
+NODES: Final = (9, 7)
+"""Values of either logarithm that the likelihood is then averaged over."""
+
+LEAST_APART: Final = (0.5, 0.35)
+"""Distance of these values at least, in the same units; it is a standard uncertainty where that is more."""
+
+FINE: Final = 0.6
+"""Standard deviation over that distance from which the grid is fine enough: sum and integral are within 2 %."""
 
 LEAST_TOLD: Final = (2.0, 1.5)
 """Standard uncertainties from which a record is said to tell nothing, in the same units."""
@@ -165,9 +178,16 @@ def _told(still: ResonanceChange, ratio: float, likelihood: Callable[[Array], fl
             point = point + np.clip(moved, -2 * step, 2 * step)
             if (np.abs(moved) < step).all():
                 break
+        u = np.sqrt(np.diag(covariance))
+        if u[0] > CURVED * unit[0]:
+            apart = np.maximum(u, unit * LEAST_APART)
+            for _ in range(ROUNDS):
+                point, u = _mean_and_deviation(likelihood, point, apart)
+                if (u > FINE * apart).all():
+                    break
+                apart = np.maximum(u, FINE * apart)
     except (ValueError, np.linalg.LinAlgError, ArithmeticError):  # no dynamics are there
         return still
-    u = np.sqrt(np.diag(covariance))
     if (np.abs(point) > unit * MOST).any() or (u > unit * LEAST_TOLD).any():
         return still
     return ResonanceChange(
@@ -178,6 +198,20 @@ def _told(still: ResonanceChange, ratio: float, likelihood: Callable[[Array], fl
         float(point[1]),
         float(u[1]),
     )
+
+
+def _mean_and_deviation(likelihood: Callable[[Array], float], centre: Array, apart: Array) -> tuple[Array, Array]:
+    """Mean and standard deviation of either logarithm, weighted by the likelihood on a grid, shapes (2,) and (2,)."""
+    first, second = (np.arange(count) - count // 2 for count in NODES)
+    table = np.array([[likelihood(centre + apart * (i, j)) for j in second] for i in first])
+    weight = np.exp(table - table.max())
+    weight /= weight.sum()
+    found = []
+    for places, share in ((first, weight.sum(axis=1)), (second, weight.sum(axis=0))):
+        mean = float(places @ share)
+        found.append((mean, float(np.sqrt((places - mean) ** 2 @ share))))
+    mean, deviation = np.array(found).T
+    return centre + apart * mean, apart * deviation
 
 
 def _stencil(likelihood: Callable[[Array], float], point: Array, step: Array) -> tuple[Array, Array]:
