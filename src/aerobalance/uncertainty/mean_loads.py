@@ -8,7 +8,7 @@ the latter make repeat runs scatter, so they are kept apart through all axes up 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Final
 
 import numpy as np
@@ -25,6 +25,9 @@ from aerobalance.uncertainty.regression import TAPERS, regress
 
 OF_BALANCE: Final = "balance matrix, zeros and tares"
 """Contribution that is worked out anew here, for all components together."""
+
+OF_ANGLES: Final = tuple((f"{angle} {what}", angle) for angle in ("pitch", "roll") for what in ("zero", "gain"))
+"""Names and sources of what the sensors of the angles have wrong, by which the weight is taken off the loads."""
 
 DYNAMICS: Final = "dynamics"
 """Source of what the dynamics contribute."""
@@ -94,12 +97,16 @@ class MeanLoads:
         Their covariance.
     freedom
         Degrees of freedom of the scatter: it is estimated from the record.
+    by_sensors
+        What the standard uncertainty of each error of the sensors of the angles makes of the means, shape (c,); by the
+        name of the error, such as ``pitch zero``. It is in the common part of `errors`.
     """
 
     components: tuple[str, ...]
     values: Array
     errors: Errors
     freedom: float
+    by_sensors: Mapping[str, Array] = field(default_factory=dict)
 
 
 def mean_loads(force: Force) -> MeanLoads:
@@ -131,7 +138,8 @@ def mean_loads(force: Force) -> MeanLoads:
         common += matrix
         run = _correlated(run, loads, names)
     scatter, freedom = _scatter(parts, present)
-    return MeanLoads(names, values, Errors(common, zero, run, scatter), freedom)
+    by_sensors = {key[0]: np.array([one[key][0, 0] if key in one else 0.0 for one in shared]) for key in OF_ANGLES}
+    return MeanLoads(names, values, Errors(common, zero, run, scatter), freedom, by_sensors)
 
 
 def _pieces(part: Contribution) -> Sequence[tuple[int, Systematic | Noise]]:
