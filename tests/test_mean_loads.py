@@ -109,6 +109,36 @@ def test_means_that_an_angle_is_wrong_for_are_wrong_together(rng):
     assert abs(found.errors.common[0, 1]) == pytest.approx(u**2 * slopes[0] * slopes[1], rel=1e-6)
 
 
+@pytest.mark.parametrize("weighed_once", [True, False])
+def test_one_weighed_mass_of_two_forces_is_one_error(rng, weighed_once):
+    """A mass that is off by u takes the weight g u too much, straight down: from lift alone, and nothing from drag."""
+    mass, u, pitch, count = 20.0, 0.05, 0.5, 400
+
+    def made(name, mass, u):
+        # by ringing at a frequency that is known: stiffness and damping go with the mass
+        slopes = np.array([1.0, 600.0**2, 2 * 0.02 * 600.0, 0.0])
+        return Dynamics(name, *(mass * slopes[:3]), covariance=u**2 * np.outer(slopes, slopes))
+
+    channels = {name: Channel(name, 50.0 + rng.normal(0, 0.1, count), "N") for name in ("AF", "NF")}
+    channels["pitch"] = Channel("pitch", np.full(count, pitch), "rad")
+    run = Recording.from_columns(np.arange(count) / 1600.0, channels, name="run")
+
+    def wind(masses, u):
+        dynamics = [made(name, *one) for name, one in zip(("AF", "NF"), zip(masses, u, strict=True), strict=True)]
+        mean = mean_loads(estimate_force(run, dynamics_of(dynamics), method="paper"))
+        return mean_in_axes(mean, flow=Flow(alpha=pitch))["wind"]
+
+    us = (u, u if weighed_once else 1.01 * u)
+    stated = np.sqrt(np.maximum(np.diag(wind((mass, mass), us).errors.common), 0.0))[[0, 5]]
+    changes = [(mass + u, mass + u)] if weighed_once else [(mass + us[0], mass), (mass, mass + us[1])]
+    before = wind((mass, mass), (0.0, 0.0)).values
+    moved = [(wind(one, (0.0, 0.0)).values - before)[[0, 5]] for one in changes]
+    # what cancels in a variance of 0.2 N^2 leaves 1e-16 of it, of which the root is 5e-9 N
+    np.testing.assert_allclose(stated, np.linalg.norm(moved, axis=0), rtol=1e-5, atol=1e-7)
+    if weighed_once:
+        np.testing.assert_allclose(stated, [u * STANDARD_GRAVITY, 0.0], atol=1e-6)
+
+
 def test_a_body_that_is_turned_in_its_balance_has_its_own_angles():
     pitch, pull = np.radians(10.0), 100.0
     balance = ResolvedLoads.of([[pull * np.sin(pitch), 0, 0, 0, 0, pull * np.cos(pitch)]])  # drag alone

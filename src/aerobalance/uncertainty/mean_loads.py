@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.balance.loads import Loads
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
+from aerobalance.dynamics.independent import IndependentDynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.error_sources import Contribution, Divided, Noise, Systematic, added
 from aerobalance.estimation.result import ComponentForce
@@ -126,9 +128,9 @@ def mean_loads(force: Force) -> MeanLoads:
     shared = [_common(part, weights) for part in parts]
     for i, one in enumerate(parts):
         common[i, i], run[i, i] = (_variance(one, weights, kind=kind) for kind in ("common", "run"))
-        block = force.dynamics.block_of(names[i]).components
         for j in range(i):
-            common[i, j] = common[j, i] = _covariance(shared[i], shared[j], coupled=names[j] in block)
+            alike = _alike(force.dynamics, names[i], names[j])
+            common[i, j] = common[j, i] = _covariance(shared[i], shared[j], of_dynamics=alike)
     zero = np.zeros_like(common)
     loads = force.loads
     if loads is None:
@@ -179,15 +181,27 @@ def _common(one: ComponentForce, weights: Array) -> dict[tuple[str, str], Array]
     return found
 
 
+def _alike(dynamics: BalanceDynamics, one: str, other: str) -> int | None:
+    """How many of the numbers that the dynamics are made of two components share; None for all.
+
+    Coupled ones share all, and others the first, that of the mass, where it is one that was weighed once.
+    """
+    if other in dynamics.block_of(one).components:
+        return None
+    return int(isinstance(dynamics, IndependentDynamics) and dynamics.have_one_mass(one, other))
+
+
 def _covariance(
-    one: Mapping[tuple[str, str], Array], other: Mapping[tuple[str, str], Array], *, coupled: bool
+    one: Mapping[tuple[str, str], Array], other: Mapping[tuple[str, str], Array], *, of_dynamics: int | None
 ) -> float:
-    """Covariance of two means by what both have in common; dynamics are the same numbers where they are coupled."""
+    """Covariance of two means by what both have in common; of the dynamics so many numbers are, or all."""
     total = 0.0
     for key, own in one.items():
         theirs = other.get(key)
-        if theirs is not None and (coupled or key[1] != DYNAMICS):
+        if theirs is not None:
             width = min(own.shape[1], theirs.shape[1])
+            if key[1] == DYNAMICS and of_dynamics is not None:
+                width = min(width, of_dynamics)
             total += float((own[:, :width] @ theirs[:, :width].T)[0, 0])
     return total
 
