@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from aerobalance.app.campaign.definition import Axes, Placed
 from aerobalance.app.campaign.reduction import RunSettings, flow_of, frames_of
+from aerobalance.balance.reduction import reduce_outputs
+from aerobalance.balance.zeros import Zero
 from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force import estimate_force
@@ -14,6 +18,7 @@ from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.recording.frames import Frame, ResolvedLoads, angles_of_attitude, coefficients, wind_loads
 from aerobalance.recording.recording import Recording
+from aerobalance.simulation.calibration_stand import random_balance
 from aerobalance.uncertainty.mean_in_axes import Flow, ReferenceSizes, mean_in_axes
 from aerobalance.uncertainty.mean_loads import Errors, MeanLoads, mean_loads
 from faults.six import SIX, SixScene, identified, recording_of
@@ -28,7 +33,7 @@ REFERENCE = ReferenceSizes(area=0.3, chord=0.2, span=1.1)
 
 def six_means(rng) -> MeanLoads:
     parts = {}
-    for name, size in (("common", 0.3), ("zero", 0.1), ("run", 0.2), ("scatter", 0.5)):
+    for name, size in (("common", 0.3), ("zero", 0.1), ("tare", 0.15), ("run", 0.2), ("scatter", 0.5)):
         half = size * rng.normal(size=(6, 6))
         parts[name] = half @ half.T
     return MeanLoads(COMPONENTS, 100 * rng.normal(size=6), Errors(**parts), 11.0)
@@ -67,7 +72,7 @@ def test_errors_go_through_axes_and_coefficients_as_one_covariance_does(rng):
 
 
 def test_a_component_alone_gives_what_it_makes_alone():
-    mean = MeanLoads(("AF",), np.array([30.0]), Errors(*(np.eye(1) for _ in range(4))), 11.0)
+    mean = MeanLoads(("AF",), np.array([30.0]), Errors(*(np.eye(1) for _ in range(5))), 11.0)
     level = mean_in_axes(mean, flow=Flow(pressure=100.0), reference=REFERENCE)
     assert level["wind"].values[5] == pytest.approx(30.0)  # level, drag is the axial force
     assert level["C_wind"].values[5] == pytest.approx(30.0 / (100.0 * 0.3))
@@ -137,6 +142,38 @@ def test_one_weighed_mass_of_two_forces_is_one_error(rng, weighed_once):
     np.testing.assert_allclose(stated, np.linalg.norm(moved, axis=0), rtol=1e-5, atol=1e-7)
     if weighed_once:
         np.testing.assert_allclose(stated, [u * STANDARD_GRAVITY, 0.0], atol=1e-6)
+
+
+def test_the_noise_of_a_tare_is_apart_from_what_all_runs_share(rng, seed):
+    """A tare of 100 readings with noise s is known to s / 10: read anew it moves the means by so much."""
+    balance, noise = replace(random_balance(seed), natural_zero=None), 2e-4  # [mV/V]
+    names = [f"r{gauge}" for gauge in balance.gauges]
+
+    def recorded(name, count):
+        table = rng.normal(0, noise, (count, 6))
+        channels = {one: Channel(one, column, "mV/V") for one, column in zip(names, table.T, strict=True)}
+        return Recording.from_columns(np.arange(count) / 1000.0, channels, name=name)
+
+    dynamics = dynamics_of([Dynamics(name, 1.0, 1e6, 20.0) for name in ("AF", "NF")])
+    run, zero = recorded("run", 400), Zero(recorded("zero", 400), model_on=False)
+
+    def loads(readings):
+        return reduce_outputs(run, balance, zero=zero, model=dynamics, tare=[recorded("tare", readings)])
+
+    place = [COMPONENTS.index(name) for name in dynamics.components]
+    repeats = trials(30, 200)
+    drawn = [loads(100) for _ in range(repeats)]
+    stated = np.mean([one.of_tare[place] for one in drawn], axis=0)
+    measured = np.var([one.values[:, place].mean(axis=0) for one in drawn], axis=0, ddof=1)
+    # variances with 29 degrees of freedom; what is stated has 19 for each of the 30
+    np.testing.assert_allclose(measured / stated, 1.0, atol=4 * np.sqrt(2 / (repeats - 1)))
+    short, long = (
+        mean_loads(estimate_force(one, dynamics, method="paper")).errors for one in (drawn[0], loads(10_000))
+    )
+    np.testing.assert_allclose(short.of_tare(), np.sqrt(drawn[0].of_tare[place]), rtol=1e-12)
+    assert (long.of_tare() < 0.3 * short.of_tare()).all()  # 0.1, known to 20 %
+    # with a tare that is known much better nothing else changes
+    np.testing.assert_allclose(np.diag(long.common), np.diag(short.common), rtol=1e-2)
 
 
 def test_a_body_that_is_turned_in_its_balance_has_its_own_angles():

@@ -1,8 +1,8 @@
 """The mean force of a run, with the covariance of its components by what runs share of it.
 
-Errors of the calibration, the dynamics and gravity are the same in all runs of a set-up; those of a zero in all runs
-that count from it; noise, and what a fluctuating load has by chance in so short a record, are drawn anew in each. Only
-the latter make repeat runs scatter, so they are kept apart through all axes up to the coefficients.
+Errors of the calibration, the dynamics and gravity are the same in all runs of a set-up; those of a zero or a tare in
+all runs that count from it; noise, and what a fluctuating load has by chance in so short a record, are drawn anew in
+each. Only the latter make repeat runs scatter, so they are kept apart through all axes up to the coefficients.
 """
 
 from __future__ import annotations
@@ -51,6 +51,8 @@ class Errors:
         The same error in all runs of a set-up.
     zero
         The same in all runs that count from one zero.
+    tare
+        The same in all runs that the same wind-off recordings were taken off.
     run
         Drawn anew in each run.
     scatter
@@ -59,13 +61,14 @@ class Errors:
 
     common: Array
     zero: Array
+    tare: Array
     run: Array
     scatter: Array
 
     @property
     def whole(self) -> Array:
         """All together, shape (k, k)."""
-        return self.common + self.zero + self.run + self.scatter
+        return self.common + self.zero + self.tare + self.run + self.scatter
 
     @property
     def parts(self) -> dict[str, Array]:
@@ -77,12 +80,16 @@ class Errors:
         return np.sqrt(np.maximum(np.diag(self.whole), 0.0))
 
     def of_run(self) -> Array:
-        """Standard deviation by which repeat runs with the same zero scatter, shape (k,)."""
+        """Standard deviation by which repeat runs with the same zero and tare scatter, shape (k,)."""
         return np.sqrt(np.maximum(np.diag(self.run + self.scatter), 0.0))
 
     def of_zero(self) -> Array:
         """Standard uncertainty by the zero, shape (k,)."""
         return np.sqrt(np.maximum(np.diag(self.zero), 0.0))
+
+    def of_tare(self) -> Array:
+        """Standard uncertainty by the tare, shape (k,)."""
+        return np.sqrt(np.maximum(np.diag(self.tare), 0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -131,17 +138,17 @@ def mean_loads(force: Force) -> MeanLoads:
         for j in range(i):
             alike = _alike(force.dynamics, names[i], names[j])
             common[i, j] = common[j, i] = _covariance(shared[i], shared[j], of_dynamics=alike)
-    zero = np.zeros_like(common)
+    zero, tare = np.zeros_like(common), np.zeros_like(common)
     loads = force.loads
     if loads is None:
         common += np.diag([_variance(part, weights, kind="balance") for part in parts])
     else:
-        matrix, zero = _of_matrix(loads, names, present)
+        matrix, zero, tare = _of_matrix(loads, names, present)
         common += matrix
         run = _correlated(run, loads, names)
     scatter, freedom = _scatter(parts, present)
     by_sensors = {key[0]: np.array([one[key][0, 0] if key in one else 0.0 for one in shared]) for key in OF_ANGLES}
-    return MeanLoads(names, values, Errors(common, zero, run, scatter), freedom, by_sensors)
+    return MeanLoads(names, values, Errors(common, zero, tare, run, scatter), freedom, by_sensors)
 
 
 def _pieces(part: Contribution) -> Sequence[tuple[int, Systematic | Noise]]:
@@ -206,8 +213,8 @@ def _covariance(
     return total
 
 
-def _of_matrix(loads: Loads, names: Sequence[str], present: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Covariance of the mean loads by the matrix with the bridges' gains, and by the zeros, shape (c, c) each."""
+def _of_matrix(loads: Loads, names: Sequence[str], present: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+    """Covariance of the mean loads by the matrix with the bridges' gains, by zeros and by tares, shape (c, c) each."""
     place = [loads.components.index(name) for name in names]
     turn = loads.transform[place]
     known = present & np.isfinite(loads.native).all(axis=1)
@@ -216,10 +223,11 @@ def _of_matrix(loads: Loads, names: Sequence[str], present: NDArray[np.bool_]) -
     slope = turn @ loads.balance.sensitivity(native[None])[0]
     variance = loads.zero.u**2 + loads.zero.drift**2 / 12
     zero = slope @ np.diag(variance) @ slope.T
-    # what is left of zeros, gains and tares, whose parts are not told apart: independent of component to component
+    tare = loads.of_tare[place]
+    # what is left of zeros and gains, whose parts are not told apart: independent of component to component
     apart = loads.apart[known] if len(loads.apart) > 1 else loads.apart
-    rest = np.maximum(apart.mean(axis=0)[place] - np.diag(zero), 0.0)
-    return np.asarray(matrix + np.diag(rest)), np.asarray(zero)
+    rest = np.maximum(apart.mean(axis=0)[place] - np.diag(zero) - tare, 0.0)
+    return np.asarray(matrix + np.diag(rest)), np.asarray(zero), np.diag(tare)
 
 
 def _correlated(run: Array, loads: Loads, names: Sequence[str]) -> Array:
