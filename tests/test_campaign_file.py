@@ -46,6 +46,11 @@ def runs_of(folder: Path, **contents: object):
         ("[runs]\nfiles = '*.h5'\n[[setups]]\n[zeros]\nuse = 'first'\n", "zeros.use: must be 'before', 'around' or"),
         ("[runs]\nfiles = '*.h5'\n[[setups]]\n[spectrum]\nbands = [[10, 1]]\n", "must be pairs of frequencies in Hz"),
         ("[runs]\nfiles = '*.h5'\n[[setups]]\n[axes]\nmoment_centre = [0, 1]\n", "must be three numbers"),
+        (
+            "[runs]\nfiles = '*.h5'\n[[setups]]\n[repeats]\nby = ['alpha']\ntolerance = {alfa = 0.05}\n",
+            r"repeats: tolerance is given for alfa, .* for one of by \(alpha\), or add alfa to by",
+        ),
+        ("[runs]\nfiles = '*.h5'\n[[setups]]\n[repeats]\ntolerance = {mach = 0.01}\n", r"by \(alpha, beta\)"),
         ("[runs]\nfiles = '*.h5'\n[[setups]]\nfrom = '201'\n", "must be a date such as .* without quotes"),
         ("[runs\n", "is no TOML"),
     ],
