@@ -162,6 +162,26 @@ def test_covariance_through_the_whole_chain_is_that_of_differences(rng):
     np.testing.assert_allclose(found.uncertainty[0], size, rtol=1e-5)
 
 
+def test_an_error_of_loads_and_angles_alike_goes_through_as_differences_have_it(rng):
+    unknowns = np.concatenate([rng.normal(size=(2, 6)) * 100, rng.uniform(-0.5, 0.5, (2, 2))], axis=1)
+    whole = covariance_of(rng, [1.0] * 6 + [1e-2] * 2)
+    found = wind_loads(
+        ResolvedLoads(unknowns[:, :6], np.stack([whole[:6, :6]] * 2)),
+        angle_of_attack=unknowns[:, 6],
+        sideslip=unknowns[:, 7],
+        angle_covariance=whole[6:, 6:],
+        cross_covariance=whole[:6, 6:],
+    )
+
+    def turned(v):
+        return wind_loads(ResolvedLoads.of(v[None, :6]), angle_of_attack=v[6], sideslip=v[7]).values[0]
+
+    for one, v in zip(found.covariance, unknowns, strict=True):
+        direct = by_differences(turned, v, whole)
+        size = np.sqrt(np.diag(direct))
+        np.testing.assert_allclose(one / np.outer(size, size), direct / np.outer(size, size), atol=1e-5)
+
+
 def test_correlation_matters():
     # lift and drag of two readings that share one error: 1 N in both, at 45 degrees, is sqrt(2) N and nothing
     alike = np.eye(6)
@@ -218,6 +238,12 @@ def test_no_wind_has_no_coefficients():
         (lambda: Frame.of_rotation(2 * np.eye(3)), "right angles"),
         (lambda: coefficients(loads(), pressure=1.0, area=0.0, chord=1.0, span=1.0), "area"),
         (lambda: wind_loads(loads(), angle_of_attack=0.0, angle_covariance=np.eye(3)), "angle_covariance"),
+        (
+            lambda: wind_loads(
+                loads(), angle_of_attack=0.0, angle_covariance=np.eye(2), cross_covariance=np.zeros((2, 6))
+            ),
+            "cross_covariance",
+        ),
     ],
 )
 def test_wrong_calls_are_refused(call, words):

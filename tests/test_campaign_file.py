@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import fsspec
@@ -45,6 +46,11 @@ def runs_of(folder: Path, **contents: object):
         ("[runs]\nfiles = '*.h5'\n[[setups]]\n[zeros]\nuse = 'first'\n", "zeros.use: must be 'before', 'around' or"),
         ("[runs]\nfiles = '*.h5'\n[[setups]]\n[spectrum]\nbands = [[10, 1]]\n", "must be pairs of frequencies in Hz"),
         ("[runs]\nfiles = '*.h5'\n[[setups]]\n[axes]\nmoment_centre = [0, 1]\n", "must be three numbers"),
+        (
+            "[runs]\nfiles = '*.h5'\n[[setups]]\n[repeats]\nby = ['alpha']\ntolerance = {alfa = 0.05}\n",
+            r"repeats: tolerance is given for alfa, .* for one of by \(alpha\), or add alfa to by",
+        ),
+        ("[runs]\nfiles = '*.h5'\n[[setups]]\n[repeats]\ntolerance = {mach = 0.01}\n", r"by \(alpha, beta\)"),
         ("[runs]\nfiles = '*.h5'\n[[setups]]\nfrom = '201'\n", "must be a date such as .* without quotes"),
         ("[runs\n", "is no TOML"),
     ],
@@ -86,6 +92,9 @@ def test_a_table_gives_columns_units_and_files_of_its_own(tmp_path):
         ("file,q [furlong]\na.h5,1\n", r"q has unit \[furlong\]; allowed: Pa"),
         ("file,q\n,1\n", "line 2: names no file"),
         ("file,file\n", "two columns of one name"),
+        ("file,alpha\na.h5,2\nb.h5,1e999\n", r"line 3: column alpha has 1e999, which is no number up to 1e\+100"),
+        ("file;q [kPa]\na.h5;-2,5\nb.h5;1e99\n", "line 3: column q has 1e99, which is no number"),  # in Pa
+        ("file,polar\na.h5,-1e400\n", "line 2: column polar has -1e400, which is no number"),
         ("", "is empty"),
     ],
 )
@@ -94,6 +103,20 @@ def test_a_table_that_cannot_be_read_says_the_line(tmp_path, table, said):
     file.write_text(table)
     with pytest.raises(ReadError, match=said):
         read_rows(str(file))
+
+
+@pytest.mark.parametrize("value", [float("inf"), float("nan"), -1e200])
+def test_a_number_without_end_is_refused_where_it_stands(tmp_path, value):
+    touched(tmp_path, "a.h5", "b_1e999.h5")
+    rows = [{"file": "a.h5", "alpha": 1e100}, {"file": "b_1e999.h5", "alpha": value}]
+    with pytest.raises(
+        ReadError,
+        match=rf"runs\.rows\[1\]: column alpha has {re.escape(str(value))}, which is no number up to 1e\+100",
+    ):
+        runs_of(tmp_path, runs={"rows": rows})
+    runs = {"files": "*.h5", "pattern": r"_(?P<alpha>[e\d]+)\.h5"}
+    with pytest.raises(ReadError, match=r"b_1e999\.h5: its name: column alpha has 1e999, which is no number"):
+        runs_of(tmp_path, runs=runs)
 
 
 def test_set_ups_hold_from_a_run_a_date_or_for_a_column(tmp_path):

@@ -32,6 +32,7 @@ def rows(rng, *, angles=(0.0, 4.0, 8.0), polars=8, spread=1.0):
                     "u_CL": 0.02,
                     "u_run_CL": 0.01,
                     "u_zero_CL": 0.0,
+                    "u_tare_CL": 0.0,
                     "zero_NF_N": level,
                     "u_zero_NF_N": 0.1,
                     "zero_drift_NF_N": rng.normal(0, 0.1),
@@ -79,6 +80,24 @@ def test_repeats_that_scatter_otherwise_than_stated_are_flagged(rng):
     wide, narrow = flags(rows(rng, spread=3.0)), flags(rows(rng, spread=0.1))
     assert "something changes from run to run" in wide["scatter"].text
     assert "larger than it need be" in narrow["scatter"].text
+
+
+def test_the_error_of_a_tare_is_common_to_the_runs_that_it_was_taken_off_only(rng):
+    # four tares of six repeats each: of 24 runs 4 x 6^2 - 24 of 24^2 - 24 ordered pairs share theirs
+    own, tare = 0.01, 0.05
+    found = []
+    for _ in range(200):
+        given = rows(rng, angles=(4.0,), polars=24)
+        for place, level in enumerate(rng.normal(0, tare, 4)):
+            for row in given[6 * place : 6 * (place + 1)]:
+                row |= {"CL": row["CL"] + level, "u_tare_CL": tare, "tare_from": f"tare_{place}.h5"}
+        (one,) = quality_of(given, Repeats()).repeats
+        found.append(one.scatter)
+    other = 1 - (4 * 6**2 - 24) / (24**2 - 24)
+    assert found[0].expected == pytest.approx(np.sqrt(own**2 + other * tare**2), rel=1e-9)
+    # a mean square of 4 tares, with 3 degrees of freedom, scatters by sqrt(2 / 3); of 200 of them the mean
+    measured = np.mean([one.deviation**2 for one in found]) / found[0].expected ** 2
+    assert measured == pytest.approx(1, abs=4 * np.sqrt(2 / 3 / 200))
 
 
 @pytest.mark.parametrize("shared", [0.0, 0.9, 1.0])

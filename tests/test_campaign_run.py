@@ -13,7 +13,9 @@ from aerobalance.app.campaign.definition import Axes, Placed, Pressure, Referenc
 from aerobalance.app.campaign.reduction import RunSettings, flow_of, frames_of, reduce_run
 from aerobalance.app.campaign.rows import row_of
 from aerobalance.dynamics.independent import dynamics_of
+from aerobalance.estimation.forces import ForceSettings
 from aerobalance.recording.channel import Channel
+from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.uncertainty.repeats import trend
 from helpers.axial_runs import RATE, run_of, spring
 from seeds import trials
@@ -106,9 +108,9 @@ def test_a_channel_in_no_unit_of_pressure_is_no_pressure(rng):
 
 
 def test_zero_and_gain_of_the_angle_count_where_the_angle_is_from_it(rng):
-    """By an angle that is off by u, lift L and drag D are off by -D u and L u."""
+    """By an angle that is off by u, lift L and drag D are off by -D u and (L - W) u, W being a small weight."""
     samples, pitch, u, gain = 800, np.radians(10.0), np.radians(0.3), 0.02
-    dynamics = {name: ab.Dynamics(name, mass=1e-3, stiffness=1e5, damping=0.4) for name in ("AF", "NF")}  # no weight
+    dynamics = {name: ab.Dynamics(name, mass=1e-3, stiffness=1e5, damping=0.4) for name in ("AF", "NF")}
 
     def found(columns, **stated):
         channels = {name: Channel(name, 50.0 + rng.normal(0, 0.1, samples), "N") for name in dynamics}
@@ -120,17 +122,52 @@ def test_zero_and_gain_of_the_angle_count_where_the_angle_is_from_it(rng):
     wind = found({}, zero_uncertainty=u, relative_uncertainty=gain).axes["wind"]
     lift, drag = wind.values[[0, 5]]
     covariance = wind.errors.common[np.ix_([0, 5], [0, 5])]
-    expected = off**2 * np.outer([-drag, lift], [-drag, lift])
+    slopes = [-drag, lift - 1e-3 * STANDARD_GRAVITY]
+    expected = off**2 * np.outer(slopes, slopes)
     np.testing.assert_allclose(covariance, expected, atol=1e-4 * off**2 * lift**2)
     of_table = found({"alpha": 10.0, "beta": 0.0}, zero_uncertainty=u, relative_uncertainty=gain)
-    assert of_table.flow.by_sensors == ((0.0, 0.0), (0.0, 0.0))
+    assert of_table.flow.by_sensors == {"pitch zero": (0.0, 0.0), "pitch gain": (0.0, 0.0)}
 
 
 def test_an_angle_of_roll_is_sideslip_by_the_sine_of_pitch():
     # sin(beta) = sin(pitch) sin(roll) and tan(alpha) = tan(pitch) cos(roll) of a body with the axes of its balance
     pitch = 0.3
-    flow = flow_of({}, {"pitch": pitch, "roll": 0.0}, RunSettings(), u_attitude=(1e-3, 2e-3))
-    np.testing.assert_allclose(flow.by_sensors, np.diag([1e-3, 2e-3 * np.sin(pitch)]) ** 2, atol=1e-15)
+    u = {"pitch zero": 1e-3, "roll gain": 2e-3}
+    found = flow_of({}, {"pitch": pitch, "roll": 0.0}, RunSettings(), u_attitude=u).by_sensors
+    np.testing.assert_allclose(found["pitch zero"], (1e-3, 0.0), atol=1e-12)  # by differences: 1e-16 of 1e-6
+    np.testing.assert_allclose(found["roll gain"], (0.0, 2e-3 * np.sin(pitch)), atol=1e-12)
+
+
+@pytest.mark.parametrize(("method", "lift"), [("paper", -300.0), ("smoother", 300.0)])
+def test_an_inclinometer_that_is_off_is_one_error_of_weight_and_axes(rng, method, lift):
+    """By a pitch that is off by u, drag is off by (L - M g) u and lift by -D u: the weight counts with its sign."""
+    samples, pitch, mass, drag, u, gain = 400, np.radians(10.0), 20.0, 30.0, np.radians(0.05), 0.01
+    dynamics = {
+        name: ab.Dynamics(name, mass, stiffness=mass * 600.0**2, damping=0.04 * mass * 600.0) for name in ("AF", "NF")
+    }
+    weight = mass * STANDARD_GRAVITY
+    sine, cosine = np.sin(pitch), np.cos(pitch)
+    felt = {
+        "AF": drag * cosine - lift * sine + weight * sine + rng.normal(0, 0.1, samples),
+        "NF": lift * cosine + drag * sine - weight * cosine + rng.normal(0, 0.1, samples),
+    }
+
+    def wind(angle):
+        channels = {name: Channel(name, values, "N") for name, values in felt.items()}
+        channels["pitch"] = Channel(
+            "pitch", np.full(samples, angle), "rad", zero_uncertainty=u, relative_uncertainty=gain
+        )
+        run = ab.Recording.from_columns(np.arange(samples) / RATE, channels)
+        found = reduce_run(run, dynamics_of(dynamics), settings=RunSettings(force=ForceSettings(method=method)))
+        return found.axes["wind"]
+
+    found = wind(pitch)
+    stated = np.sqrt(np.diag(found.errors.common))[[0, 5]]
+    off = np.hypot(u, gain * pitch)
+    moved = (wind(pitch + off).values - wind(pitch - off).values)[[0, 5]] / 2
+    np.testing.assert_allclose(stated, np.abs(moved), rtol=1e-4)  # a third-order error of off: 2e-6
+    # 0.1 N in 400 samples leave 5e-3 N of the forces
+    np.testing.assert_allclose(stated, off * np.abs([drag, lift - weight]), atol=5 * 5e-3 * off)
 
 
 def test_zero_and_gain_of_the_recorded_pressure_are_in_its_uncertainty(rng):

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from aerobalance.app.campaign.definition import Axes, Placed
 from aerobalance.app.campaign.reduction import RunSettings, flow_of, frames_of
+from aerobalance.balance.reduction import reduce_outputs
+from aerobalance.balance.zeros import Zero
 from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.force import estimate_force
@@ -14,6 +18,7 @@ from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.recording.frames import Frame, ResolvedLoads, angles_of_attitude, coefficients, wind_loads
 from aerobalance.recording.recording import Recording
+from aerobalance.simulation.calibration_stand import random_balance
 from aerobalance.uncertainty.mean_in_axes import Flow, ReferenceSizes, mean_in_axes
 from aerobalance.uncertainty.mean_loads import Errors, MeanLoads, mean_loads
 from faults.six import SIX, SixScene, identified, recording_of
@@ -28,7 +33,7 @@ REFERENCE = ReferenceSizes(area=0.3, chord=0.2, span=1.1)
 
 def six_means(rng) -> MeanLoads:
     parts = {}
-    for name, size in (("common", 0.3), ("zero", 0.1), ("run", 0.2), ("scatter", 0.5)):
+    for name, size in (("common", 0.3), ("zero", 0.1), ("tare", 0.15), ("run", 0.2), ("scatter", 0.5)):
         half = size * rng.normal(size=(6, 6))
         parts[name] = half @ half.T
     return MeanLoads(COMPONENTS, 100 * rng.normal(size=6), Errors(**parts), 11.0)
@@ -67,7 +72,7 @@ def test_errors_go_through_axes_and_coefficients_as_one_covariance_does(rng):
 
 
 def test_a_component_alone_gives_what_it_makes_alone():
-    mean = MeanLoads(("AF",), np.array([30.0]), Errors(*(np.eye(1) for _ in range(4))), 11.0)
+    mean = MeanLoads(("AF",), np.array([30.0]), Errors(*(np.eye(1) for _ in range(5))), 11.0)
     level = mean_in_axes(mean, flow=Flow(pressure=100.0), reference=REFERENCE)
     assert level["wind"].values[5] == pytest.approx(30.0)  # level, drag is the axial force
     assert level["C_wind"].values[5] == pytest.approx(30.0 / (100.0 * 0.3))
@@ -107,6 +112,68 @@ def test_means_that_an_angle_is_wrong_for_are_wrong_together(rng):
     slopes = STANDARD_GRAVITY * np.array([3.0 * np.cos(pitch), 5.0 * np.sin(pitch)])
     # the masses, uncertain by 1e-3 and 4e-4 of the weight, are wrong each for itself
     assert abs(found.errors.common[0, 1]) == pytest.approx(u**2 * slopes[0] * slopes[1], rel=1e-6)
+
+
+@pytest.mark.parametrize("weighed_once", [True, False])
+def test_one_weighed_mass_of_two_forces_is_one_error(rng, weighed_once):
+    """A mass that is off by u takes the weight g u too much, straight down: from lift alone, and nothing from drag."""
+    mass, u, pitch, count = 20.0, 0.05, 0.5, 400
+
+    def made(name, mass, u):
+        # by ringing at a frequency that is known: stiffness and damping go with the mass
+        slopes = np.array([1.0, 600.0**2, 2 * 0.02 * 600.0, 0.0])
+        return Dynamics(name, *(mass * slopes[:3]), covariance=u**2 * np.outer(slopes, slopes))
+
+    channels = {name: Channel(name, 50.0 + rng.normal(0, 0.1, count), "N") for name in ("AF", "NF")}
+    channels["pitch"] = Channel("pitch", np.full(count, pitch), "rad")
+    run = Recording.from_columns(np.arange(count) / 1600.0, channels, name="run")
+
+    def wind(masses, u):
+        dynamics = [made(name, *one) for name, one in zip(("AF", "NF"), zip(masses, u, strict=True), strict=True)]
+        mean = mean_loads(estimate_force(run, dynamics_of(dynamics), method="paper"))
+        return mean_in_axes(mean, flow=Flow(alpha=pitch))["wind"]
+
+    us = (u, u if weighed_once else 1.01 * u)
+    stated = np.sqrt(np.maximum(np.diag(wind((mass, mass), us).errors.common), 0.0))[[0, 5]]
+    changes = [(mass + u, mass + u)] if weighed_once else [(mass + us[0], mass), (mass, mass + us[1])]
+    before = wind((mass, mass), (0.0, 0.0)).values
+    moved = [(wind(one, (0.0, 0.0)).values - before)[[0, 5]] for one in changes]
+    # what cancels in a variance of 0.2 N^2 leaves 1e-16 of it, of which the root is 5e-9 N
+    np.testing.assert_allclose(stated, np.linalg.norm(moved, axis=0), rtol=1e-5, atol=1e-7)
+    if weighed_once:
+        np.testing.assert_allclose(stated, [u * STANDARD_GRAVITY, 0.0], atol=1e-6)
+
+
+def test_the_noise_of_a_tare_is_apart_from_what_all_runs_share(rng, seed):
+    """A tare of 100 readings with noise s is known to s / 10: read anew it moves the means by so much."""
+    balance, noise = replace(random_balance(seed), natural_zero=None), 2e-4  # [mV/V]
+    names = [f"r{gauge}" for gauge in balance.gauges]
+
+    def recorded(name, count):
+        table = rng.normal(0, noise, (count, 6))
+        channels = {one: Channel(one, column, "mV/V") for one, column in zip(names, table.T, strict=True)}
+        return Recording.from_columns(np.arange(count) / 1000.0, channels, name=name)
+
+    dynamics = dynamics_of([Dynamics(name, 1.0, 1e6, 20.0) for name in ("AF", "NF")])
+    run, zero = recorded("run", 400), Zero(recorded("zero", 400), model_on=False)
+
+    def loads(readings):
+        return reduce_outputs(run, balance, zero=zero, model=dynamics, tare=[recorded("tare", readings)])
+
+    place = [COMPONENTS.index(name) for name in dynamics.components]
+    repeats = trials(30, 200)
+    drawn = [loads(100) for _ in range(repeats)]
+    stated = np.mean([one.of_tare[place] for one in drawn], axis=0)
+    measured = np.var([one.values[:, place].mean(axis=0) for one in drawn], axis=0, ddof=1)
+    # variances with 29 degrees of freedom; what is stated has 19 for each of the 30
+    np.testing.assert_allclose(measured / stated, 1.0, atol=4 * np.sqrt(2 / (repeats - 1)))
+    short, long = (
+        mean_loads(estimate_force(one, dynamics, method="paper")).errors for one in (drawn[0], loads(10_000))
+    )
+    np.testing.assert_allclose(short.of_tare(), np.sqrt(drawn[0].of_tare[place]), rtol=1e-12)
+    assert (long.of_tare() < 0.3 * short.of_tare()).all()  # 0.1, known to 20 %
+    # with a tare that is known much better nothing else changes
+    np.testing.assert_allclose(np.diag(long.common), np.diag(short.common), rtol=1e-2)
 
 
 def test_a_body_that_is_turned_in_its_balance_has_its_own_angles():

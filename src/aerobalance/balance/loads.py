@@ -51,6 +51,8 @@ class Loads:
     apart
         Variance of every sample from zeros, tares, gains of the bridges and what temperature does to them
         [N^2, N^2*m^2], shape (n, c) or, the same for all, (1, c).
+    of_tare
+        Mean over the samples of what of it is from tares, shape (c,): runs with other tares do not share it.
     native
         Loads in the balance's own components, tares not removed, shape (n, c) [N, N*m].
     beyond
@@ -77,6 +79,7 @@ class Loads:
     values: Array
     noise_covariance: Array
     apart: Array
+    of_tare: Array
     native: Array
     beyond: Mapping[str, int]
     contraction: float
@@ -282,9 +285,10 @@ def loads_of_outputs(
     apart = _apart(native, zero, channels, slope=slope, transform=T)
     if of_temperature is not None:
         apart = apart + of_temperature @ (slope**2).T
+    of_tare = np.zeros((1, len(components))) if tare is None else tare[1] ** 2
     if tare is not None:
         values = values - tare[0]
-        apart = apart + tare[1] ** 2
+        apart = apart + of_tare
     correlation = np.eye(len(scatter))
     if known.any():
         correlation = noise_correlation(np.column_stack([interpolate_gaps_linearly(one) for one in values.T]))
@@ -294,6 +298,7 @@ def loads_of_outputs(
         values=values,
         noise_covariance=np.outer(scatter, scatter) * correlation,
         apart=apart,
+        of_tare=of_tare.mean(axis=0),
         native=native,
         beyond=beyond,
         contraction=contraction,

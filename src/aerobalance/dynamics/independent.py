@@ -16,12 +16,17 @@ from aerobalance.dynamics.modal import Modes
 from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import AXES, COMPONENTS, FORCE_ROWS, driving_axis
+from aerobalance.recording.components import AXES, COMPONENTS, FORCE_ROWS, MOMENTS, driving_axis
+
+ROUNDING: Final = 1e-9
+"""Relative difference that rounding may make of one number on its way through identifications and files."""
 
 
 @dataclass(frozen=True, slots=True)
 class IndependentDynamics(Mapping[str, Dynamics], BalanceDynamics):
     """Dynamics of n components that are not coupled: all matrices are diagonal.
+
+    Their parameters are known each for itself, but for one mass that several forces carry.
 
     Attributes
     ----------
@@ -134,6 +139,14 @@ class IndependentDynamics(Mapping[str, Dynamics], BalanceDynamics):
     def weight(self, name: str, *, pitch: Array, roll: Array, gravity: float) -> Array:
         """Weight of a component's own moving mass along it [N], shape (n,), at attitudes of shape (n,) [rad]."""
         return self.parts[name].weight(name, pitch=pitch, roll=roll, gravity=gravity)
+
+    def have_one_mass(self, one: str, other: str) -> bool:
+        """Whether two forces state the same mass with the same uncertainty: one mass, whose error they share."""
+        if {one, other} & set(MOMENTS):  # whose mass has a lever
+            return False
+        first, second = self.parts[one], self.parts[other]
+        pairs = ((first.mass, second.mass), (first.uncertainty("mass"), second.uncertainty("mass")))
+        return all(abs(own - theirs) <= ROUNDING * own for own, theirs in pairs)
 
     def decoupled(self, component: str, *, noise: Array) -> DecoupledChannel:
         """The component's own reading, which no other has a part in."""

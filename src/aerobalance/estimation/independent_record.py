@@ -28,6 +28,7 @@ from aerobalance.motion.platform import SystematicParameter
 from aerobalance.motion.single_axis import GroundMotion, load_from_ground
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY, driving_channel
+from aerobalance.recording.linalg import root_by_first
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import fractional_delay
 from aerobalance.recording.sensors import corrected
@@ -164,7 +165,9 @@ class SingleRecord(ComponentRecord):
                 changed[place] += PROBE * deviation
                 moved = again(self.with_dynamics(d.with_parameters(changed)))
                 slopes[:, place] = (moved - unchanged) / (PROBE * deviation)
-        return Systematic(PARAMETERS_NAME, "dynamics", d.parameters, slopes, d.covariance)
+        # the mass first: components that carry one weighed mass share its error
+        root = root_by_first(d.covariance)
+        return Systematic(PARAMETERS_NAME, "dynamics", d.parameters, slopes, d.covariance, root)
 
     def felt_under(self, item: SystematicParameter) -> Array:
         """Balance load per unit of an uncertain parameter of the ground's motion, shape (n,)."""

@@ -88,7 +88,12 @@ class ResolvedLoads:
         return np.sqrt(np.maximum(np.diagonal(self.covariance, axis1=1, axis2=2), 0.0))
 
     def transformed(
-        self, matrix: Array, *, slopes: Array | None = None, parameter_covariance: Array | None = None
+        self,
+        matrix: Array,
+        *,
+        slopes: Array | None = None,
+        parameter_covariance: Array | None = None,
+        cross_covariance: Array | None = None,
     ) -> ResolvedLoads:
         """Return the loads times a matrix, with the uncertainty of the k quantities that the matrix depends on.
 
@@ -100,11 +105,16 @@ class ResolvedLoads:
             Derivative of the result by these quantities, shape (n, 6, k).
         parameter_covariance
             Their covariance, shape (k, k) or (n, k, k).
+        cross_covariance
+            Covariance of the loads and these quantities, shape (6, k) or (n, 6, k); none where left out.
         """
         values = np.einsum("...ij,...j->...i", matrix, self.values)
         covariance = matrix @ self.covariance @ np.swapaxes(matrix, -1, -2)
         if slopes is not None and parameter_covariance is not None:
             covariance = covariance + slopes @ parameter_covariance @ np.swapaxes(slopes, -1, -2)
+        if slopes is not None and cross_covariance is not None:
+            both = matrix @ cross_covariance @ np.swapaxes(slopes, -1, -2)
+            covariance = covariance + both + np.swapaxes(both, -1, -2)
         return ResolvedLoads(values, covariance)
 
 
@@ -223,6 +233,7 @@ def wind_loads(
     angle_of_attack: ArrayLike,
     sideslip: ArrayLike = 0.0,
     angle_covariance: ArrayLike | None = None,
+    cross_covariance: ArrayLike | None = None,
 ) -> ResolvedLoads:
     """Return lift, side force and drag in the places of NF, SF and AF, and moments about the wind's axes [N, N*m].
 
@@ -239,6 +250,9 @@ def wind_loads(
         Positive with the wind from the right (nose left), shape (n,) or one [rad].
     angle_covariance
         Covariance of both angles, shape (2, 2) or (n, 2, 2) [rad^2].
+    cross_covariance
+        Covariance of the loads and both angles, shape (6, 2) or (n, 6, 2) [N*rad, N*m*rad], where one error is in
+        both, as that of an inclinometer by which the weight is taken off; needs `angle_covariance`.
     """
     samples = body.values.shape[0]
     alpha, beta = (
@@ -257,7 +271,12 @@ def wind_loads(
     unknowns = np.asarray(angle_covariance, dtype=np.float64)
     if unknowns.shape not in ((2, 2), (samples, 2, 2)):
         raise ValueError(f"angle_covariance must have shape (2, 2) or ({samples}, 2, 2), not {unknowns.shape}")
-    return body.transformed(matrix, slopes=np.stack(slopes, axis=2), parameter_covariance=unknowns)
+    both = np.zeros((6, 2)) if cross_covariance is None else np.asarray(cross_covariance, dtype=np.float64)
+    if both.shape not in ((6, 2), (samples, 6, 2)):
+        raise ValueError(f"cross_covariance must have shape (6, 2) or ({samples}, 6, 2), not {both.shape}")
+    return body.transformed(
+        matrix, slopes=np.stack(slopes, axis=2), parameter_covariance=unknowns, cross_covariance=both
+    )
 
 
 def coefficients(

@@ -28,6 +28,18 @@ def covariance_root(covariance: Array, *, reduced: bool = True) -> Array:
     return np.ascontiguousarray(unit[:, None] * vectors[:, columns] * size[columns])
 
 
+def root_by_first(covariance: Array) -> Array:
+    """Return B with B B^T = covariance, shape (p, 1 + p), of which the first number alone makes the first parameter.
+
+    So the numbers of two covariances can be told to be the same in their first parameter and in nothing else.
+    """
+    deviation = float(np.sqrt(max(float(covariance[0, 0]), 0.0)))
+    first = covariance[:, 0] / deviation if deviation > 0 else np.zeros(len(covariance))
+    rest = covariance - np.outer(first, first)
+    rest[0], rest[:, 0] = 0.0, 0.0  # but for rounding they are
+    return np.column_stack([first, covariance_root(rest, reduced=False)])
+
+
 def symmetric_root(covariance: Array) -> Array:
     """Return the symmetric B with B B = covariance, shape (p, p), for parameters of one unit.
 

@@ -5,8 +5,8 @@ Every step is that of `aerobalance.recording.frames`; here the parts of the cova
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 from typing import Final
 
 import numpy as np
@@ -43,7 +43,8 @@ class Flow:
     known
         Whether table or recording say the angles; else they are taken as zero.
     by_sensors
-        Covariance of both angles by what the sensors that they are from have wrong in all runs, shape (2, 2) [rad^2].
+        What the standard uncertainty of each error of the sensors that the angles are from, the same in all runs,
+        makes of both angles [rad]; by the name of the error, such as ``pitch zero``.
     """
 
     alpha: float = 0.0
@@ -54,7 +55,7 @@ class Flow:
     u_pressure: float = 0.0
     u_pressure_run: float = 0.0
     known: bool = True
-    by_sensors: tuple[tuple[float, float], tuple[float, float]] = ((0.0, 0.0), (0.0, 0.0))
+    by_sensors: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,6 +124,9 @@ def mean_in_axes(
     """
     flow = Flow() if flow is None else flow
     exact = [Frame(one.point, one.pitch, one.roll, one.yaw) for one in frames]
+    of_sensors, in_both = _errors_of_sensors(mean, flow)
+    for frame in exact:
+        in_both = frame.matrix @ in_both
 
     def in_body(given: ResolvedLoads, kind: str) -> ResolvedLoads:
         for frame in frames if kind == "common" else exact:
@@ -131,12 +135,13 @@ def mean_in_axes(
 
     def in_wind(given: ResolvedLoads, kind: str) -> ResolvedLoads:
         u = {"common": flow.u_angle, "run": flow.u_angle_run}.get(kind, 0.0)
-        own = u**2 * np.eye(2) + (np.array(flow.by_sensors) if kind == "common" else 0.0)
+        held = 1.0 if kind == "common" else 0.0
         return wind_loads(
             in_body(given, kind),
             angle_of_attack=flow.alpha,
             sideslip=flow.beta,
-            angle_covariance=own,
+            angle_covariance=u**2 * np.eye(2) + held * of_sensors,
+            cross_covariance=held * in_both,
         )
 
     units = tuple(si_unit(name) for name in COMPONENTS)
@@ -159,6 +164,20 @@ def mean_in_axes(
     found["C_body"] = _through(mean, BODY_COEFFICIENTS, ones, over_pressure(in_body))
     found["C_wind"] = _through(mean, WIND_COEFFICIENTS, ones, over_pressure(in_wind))
     return found
+
+
+def _errors_of_sensors(mean: MeanLoads, flow: Flow) -> tuple[Array, Array]:
+    """Covariance of both angles by their sensors, and of the loads and them, shape (2, 2) and (6, 2).
+
+    An inclinometer that is off turns the loads by a wrong angle, and takes a wrong part of the weight off them.
+    """
+    place = [COMPONENTS.index(name) for name in mean.components]
+    of_sensors, in_both = np.zeros((2, 2)), np.zeros((6, 2))
+    for name, angles in flow.by_sensors.items():
+        of_sensors += np.outer(angles, angles)
+        if name in mean.by_sensors:
+            in_both[place] += np.outer(mean.by_sensors[name], angles)
+    return of_sensors, in_both
 
 
 def _through(mean: MeanLoads, names: tuple[str, ...], units: tuple[str, ...], step: Step) -> MeanInAxes:

@@ -1,20 +1,22 @@
 """The mean force of a run, with the covariance of its components by what runs share of it.
 
-Errors of the calibration, the dynamics and gravity are the same in all runs of a set-up; those of a zero in all runs
-that count from it; noise, and what a fluctuating load has by chance in so short a record, are drawn anew in each. Only
-the latter make repeat runs scatter, so they are kept apart through all axes up to the coefficients.
+Errors of the calibration, the dynamics and gravity are the same in all runs of a set-up; those of a zero or a tare in
+all runs that count from it; noise, and what a fluctuating load has by chance in so short a record, are drawn anew in
+each. Only the latter make repeat runs scatter, so they are kept apart through all axes up to the coefficients.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.balance.loads import Loads
+from aerobalance.dynamics.balance_dynamics import BalanceDynamics
+from aerobalance.dynamics.independent import IndependentDynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.error_sources import Contribution, Divided, Noise, Systematic, added
 from aerobalance.estimation.result import ComponentForce
@@ -25,6 +27,9 @@ from aerobalance.uncertainty.regression import TAPERS, regress
 
 OF_BALANCE: Final = "balance matrix, zeros and tares"
 """Contribution that is worked out anew here, for all components together."""
+
+OF_ANGLES: Final = tuple((f"{angle} {what}", angle) for angle in ("pitch", "roll") for what in ("zero", "gain"))
+"""Names and sources of what the sensors of the angles have wrong, by which the weight is taken off the loads."""
 
 DYNAMICS: Final = "dynamics"
 """Source of what the dynamics contribute."""
@@ -46,6 +51,8 @@ class Errors:
         The same error in all runs of a set-up.
     zero
         The same in all runs that count from one zero.
+    tare
+        The same in all runs that the same wind-off recordings were taken off.
     run
         Drawn anew in each run.
     scatter
@@ -54,13 +61,14 @@ class Errors:
 
     common: Array
     zero: Array
+    tare: Array
     run: Array
     scatter: Array
 
     @property
     def whole(self) -> Array:
         """All together, shape (k, k)."""
-        return self.common + self.zero + self.run + self.scatter
+        return self.common + self.zero + self.tare + self.run + self.scatter
 
     @property
     def parts(self) -> dict[str, Array]:
@@ -72,12 +80,16 @@ class Errors:
         return np.sqrt(np.maximum(np.diag(self.whole), 0.0))
 
     def of_run(self) -> Array:
-        """Standard deviation by which repeat runs with the same zero scatter, shape (k,)."""
+        """Standard deviation by which repeat runs with the same zero and tare scatter, shape (k,)."""
         return np.sqrt(np.maximum(np.diag(self.run + self.scatter), 0.0))
 
     def of_zero(self) -> Array:
         """Standard uncertainty by the zero, shape (k,)."""
         return np.sqrt(np.maximum(np.diag(self.zero), 0.0))
+
+    def of_tare(self) -> Array:
+        """Standard uncertainty by the tare, shape (k,)."""
+        return np.sqrt(np.maximum(np.diag(self.tare), 0.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,12 +106,16 @@ class MeanLoads:
         Their covariance.
     freedom
         Degrees of freedom of the scatter: it is estimated from the record.
+    by_sensors
+        What the standard uncertainty of each error of the sensors of the angles makes of the means, shape (c,); by the
+        name of the error, such as ``pitch zero``. It is in the common part of `errors`.
     """
 
     components: tuple[str, ...]
     values: Array
     errors: Errors
     freedom: float
+    by_sensors: Mapping[str, Array] = field(default_factory=dict)
 
 
 def mean_loads(force: Force) -> MeanLoads:
@@ -119,19 +135,20 @@ def mean_loads(force: Force) -> MeanLoads:
     shared = [_common(part, weights) for part in parts]
     for i, one in enumerate(parts):
         common[i, i], run[i, i] = (_variance(one, weights, kind=kind) for kind in ("common", "run"))
-        block = force.dynamics.block_of(names[i]).components
         for j in range(i):
-            common[i, j] = common[j, i] = _covariance(shared[i], shared[j], coupled=names[j] in block)
-    zero = np.zeros_like(common)
+            alike = _alike(force.dynamics, names[i], names[j])
+            common[i, j] = common[j, i] = _covariance(shared[i], shared[j], of_dynamics=alike)
+    zero, tare = np.zeros_like(common), np.zeros_like(common)
     loads = force.loads
     if loads is None:
         common += np.diag([_variance(part, weights, kind="balance") for part in parts])
     else:
-        matrix, zero = _of_matrix(loads, names, present)
+        matrix, zero, tare = _of_matrix(loads, names, present)
         common += matrix
         run = _correlated(run, loads, names)
     scatter, freedom = _scatter(parts, present)
-    return MeanLoads(names, values, Errors(common, zero, run, scatter), freedom)
+    by_sensors = {key[0]: np.array([one[key][0, 0] if key in one else 0.0 for one in shared]) for key in OF_ANGLES}
+    return MeanLoads(names, values, Errors(common, zero, tare, run, scatter), freedom, by_sensors)
 
 
 def _pieces(part: Contribution) -> Sequence[tuple[int, Systematic | Noise]]:
@@ -171,21 +188,33 @@ def _common(one: ComponentForce, weights: Array) -> dict[tuple[str, str], Array]
     return found
 
 
+def _alike(dynamics: BalanceDynamics, one: str, other: str) -> int | None:
+    """How many of the numbers that the dynamics are made of two components share; None for all.
+
+    Coupled ones share all, and others the first, that of the mass, where it is one that was weighed once.
+    """
+    if other in dynamics.block_of(one).components:
+        return None
+    return int(isinstance(dynamics, IndependentDynamics) and dynamics.have_one_mass(one, other))
+
+
 def _covariance(
-    one: Mapping[tuple[str, str], Array], other: Mapping[tuple[str, str], Array], *, coupled: bool
+    one: Mapping[tuple[str, str], Array], other: Mapping[tuple[str, str], Array], *, of_dynamics: int | None
 ) -> float:
-    """Covariance of two means by what both have in common; dynamics are the same numbers where they are coupled."""
+    """Covariance of two means by what both have in common; of the dynamics so many numbers are, or all."""
     total = 0.0
     for key, own in one.items():
         theirs = other.get(key)
-        if theirs is not None and (coupled or key[1] != DYNAMICS):
+        if theirs is not None:
             width = min(own.shape[1], theirs.shape[1])
+            if key[1] == DYNAMICS and of_dynamics is not None:
+                width = min(width, of_dynamics)
             total += float((own[:, :width] @ theirs[:, :width].T)[0, 0])
     return total
 
 
-def _of_matrix(loads: Loads, names: Sequence[str], present: NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Covariance of the mean loads by the matrix with the bridges' gains, and by the zeros, shape (c, c) each."""
+def _of_matrix(loads: Loads, names: Sequence[str], present: NDArray[np.bool_]) -> tuple[Array, Array, Array]:
+    """Covariance of the mean loads by the matrix with the bridges' gains, by zeros and by tares, shape (c, c) each."""
     place = [loads.components.index(name) for name in names]
     turn = loads.transform[place]
     known = present & np.isfinite(loads.native).all(axis=1)
@@ -194,10 +223,11 @@ def _of_matrix(loads: Loads, names: Sequence[str], present: NDArray[np.bool_]) -
     slope = turn @ loads.balance.sensitivity(native[None])[0]
     variance = loads.zero.u**2 + loads.zero.drift**2 / 12
     zero = slope @ np.diag(variance) @ slope.T
-    # what is left of zeros, gains and tares, whose parts are not told apart: independent of component to component
+    tare = loads.of_tare[place]
+    # what is left of zeros and gains, whose parts are not told apart: independent of component to component
     apart = loads.apart[known] if len(loads.apart) > 1 else loads.apart
-    rest = np.maximum(apart.mean(axis=0)[place] - np.diag(zero), 0.0)
-    return np.asarray(matrix + np.diag(rest)), np.asarray(zero)
+    rest = np.maximum(apart.mean(axis=0)[place] - np.diag(zero) - tare, 0.0)
+    return np.asarray(matrix + np.diag(rest)), np.asarray(zero), np.diag(tare)
 
 
 def _correlated(run: Array, loads: Loads, names: Sequence[str]) -> Array:

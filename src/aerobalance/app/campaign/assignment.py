@@ -20,16 +20,16 @@ from aerobalance.app.campaign.definition import (
     instant,
 )
 from aerobalance.app.campaign.places import folder_of, is_address, joined, listed, matching, name_of
-from aerobalance.app.campaign.run_table import cell, read_rows
+from aerobalance.app.campaign.run_table import cell, check_numbers, read_rows
 from aerobalance.recording.errors import FitError, ReadError
 
 NO_RECORDINGS: Final = frozenset({".json", ".toml", ".html", ".md", ".pdf", ".py", ".png", ".jpg", ".svg", ".log"})
 """Endings of files that are no runs where a folder is given."""
 
 OF_RESULTS: Final = re.compile(
-    "run_name|place|setup|zero_from|(balance|dynamics)_file|status|reason|verdict|doubts|doubt_kinds|warnings|report"
+    "run_name|place|setup|(zero|tare)_from|(balance|dynamics)_file|status|reason|verdict|doubts|doubt_kinds|warnings|report"
     "|duration_s|rate_Hz|samples|alpha_deg|beta_deg|pressure_Pa|steps_.*|resolved_to_.*|natural_frequency_.*"
-    "|((u|u_run|u_zero|dof)_)?(C(NF|PM|SF|YM|RM|AF|L|D|Y)|C[PYR]M_wind"
+    "|((u|u_run|u_zero|u_tare|dof)_)?(C(NF|PM|SF|YM|RM|AF|L|D|Y)|C[PYR]M_wind"
     "|(balance|body|wind|rms|largest|largest_step|least|sample|zero|zero_drift)_.*_(N|Nm)|[kb]_change_.*)"
 )
 """Names of columns that a result has by itself."""
@@ -314,6 +314,8 @@ def _runs(definition: Definition, folder: str) -> list[Marked]:
             found[one.file] = dict(one.columns)
     by_name = {name_of(file): file for file in found}
     base = folder
+    for number, row in enumerate(rules.rows):
+        check_numbers(row, folder, f"runs.rows[{number}]", written={})
     rows = [("rows", row) for row in rules.rows]
     if rules.table is not None:
         table = joined(folder, rules.table)
@@ -365,7 +367,10 @@ def _said(pattern: str, place: str) -> dict[str, Cell] | None:
     match = re.search(pattern, place.replace("\\", "/"))
     if match is None:
         return None
-    return {key: cell(value) for key, value in match.groupdict().items() if value is not None}
+    written = {key: value for key, value in match.groupdict().items() if value is not None}
+    cells = {key: cell(value) for key, value in written.items()}
+    check_numbers(cells, place, "its name", written=written)
+    return cells
 
 
 def _in_order(marked: Iterable[Marked]) -> list[Marked]:

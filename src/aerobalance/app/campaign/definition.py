@@ -228,6 +228,16 @@ class Repeats(Strict):
     by: Annotated[list[Column], Field(min_length=1)] = Field(default_factory=lambda: ["alpha", "beta"])
     tolerance: dict[Column, NotBelow] = Field(default_factory=dict)
 
+    @model_validator(mode="after")
+    def _of_columns_that_count(self) -> Repeats:
+        others = [name for name in self.tolerance if name not in self.by]
+        if others:
+            raise ValueError(
+                f"tolerance is given for {', '.join(others)}, in which runs need not agree; give it for one of by "
+                f"({', '.join(self.by)}), or add {others[0]} to by"
+            )
+        return self
+
 
 class ForceOptions(Strict):
     """Table ``[force]``: how the force is worked out, as the options of the command force."""

@@ -205,11 +205,13 @@ def _repeat(name: str, key: dict[str, Any], group: Sequence[Mapping[str, Any]]) 
 def _difference(name: str, one: Mapping[str, Any], other: Mapping[str, Any]) -> float:
     """Variance of the difference of one result of two runs: what both share is not in it."""
     total = one[f"u_run_{name}"] ** 2 + other[f"u_run_{name}"] ** 2
-    if one.get("zero_from") != other.get("zero_from"):
-        total += one[f"u_zero_{name}"] ** 2 + other[f"u_zero_{name}"] ** 2
+    for what in ("zero", "tare"):
+        if one.get(f"{what}_from") != other.get(f"{what}_from"):
+            total += one[f"u_{what}_{name}"] ** 2 + other[f"u_{what}_{name}"] ** 2
     if any(one.get(key) != other.get(key) for key in ("balance_file", "dynamics_file", "setup")):
         total += sum(
-            row[f"u_{name}"] ** 2 - row[f"u_run_{name}"] ** 2 - row[f"u_zero_{name}"] ** 2 for row in (one, other)
+            row[f"u_{name}"] ** 2 - sum(row[f"u_{what}_{name}"] ** 2 for what in ("run", "zero", "tare"))
+            for row in (one, other)
         )
     return float(max(total, 0.0))
 

@@ -169,7 +169,12 @@ def reduce_run(
     gravity = settings.force.gravity
     means = {name: float(np.nanmean(one.values)) for name, one in run.channels.items() if not one.missing.all()}
     pressure, u_pressure = pressure_of(settings.pressure, columns, run)  # before the long work
-    u_attitude = [_held(run.channel(name)) if name in means else 0.0 for name in ("pitch", "roll")]
+    u_attitude = {
+        f"{name} {what}": u
+        for name in ("pitch", "roll")
+        if name in means
+        for what, u in zip(("zero", "gain"), _held(run.channel(name)), strict=True)
+    }
     flow = flow_of(columns, means, settings, u_attitude=u_attitude)
     flow = replace(flow, pressure=pressure, u_pressure=u_pressure)
 
@@ -216,12 +221,13 @@ def flow_of(
     means: Mapping[str, float],
     settings: RunSettings,
     *,
-    u_attitude: Sequence[float] = (0.0, 0.0),
+    u_attitude: Mapping[str, float] | None = None,
 ) -> Flow:
     """Angles of the body of a run, from its columns or from the means of its channels; no pressure yet.
 
     The channels have the attitude of the balance; the body's is that and its place in the balance. `u_attitude` is
-    what pitch and roll are wrong by in all runs, their standard uncertainties [rad].
+    what pitch and roll are wrong by in all runs, their standard uncertainties [rad] by the name of the error, whose
+    first word is that of the channel: ``pitch zero``.
 
     Raises
     ------
@@ -245,7 +251,9 @@ def flow_of(
             told = True
         elif wanted is not None:
             raise ValueError(f"{name} should be in column {wanted}, which this run does not have")
-    (aa, ab), (ba, bb) = (slopes @ np.diag(np.square(u_attitude)) @ slopes.T).tolist()
+    errors = {} if u_attitude is None else u_attitude
+    columns_of = {"pitch": slopes[:, 0], "roll": slopes[:, 1]}
+    by_sensors = {name: u * columns_of[name.split()[0]] for name, u in errors.items() if u}
     return Flow(
         alpha=found["alpha"],
         beta=found["beta"],
@@ -253,7 +261,7 @@ def flow_of(
         u_angle_run=float(np.radians(settings.u_angle_run)),
         u_pressure_run=0.0 if settings.pressure is None else settings.pressure.u_run,
         known=told,
-        by_sensors=((aa, ab), (ba, bb)),
+        by_sensors={name: (float(one[0]), float(one[1])) for name, one in by_sensors.items()},
     )
 
 
@@ -267,9 +275,9 @@ def _slopes_of_attitude(pitch: float, roll: float, body: Frame) -> Array:
     return np.column_stack([by((ANGLE_STEP, 0.0)), by((0.0, ANGLE_STEP))])
 
 
-def _held(channel: Channel) -> float:
-    """Standard uncertainty of the mean of a channel by its zero and its gain, in its unit."""
-    return float(np.hypot(channel.zero_uncertainty, channel.relative_uncertainty * np.nanmean(channel.values)))
+def _held(channel: Channel) -> tuple[float, float]:
+    """What the standard uncertainties of zero and gain of a channel make of its mean, in its unit."""
+    return channel.zero_uncertainty, float(channel.relative_uncertainty * np.nanmean(channel.values))
 
 
 def pressure_of(rule: Pressure | None, columns: Mapping[str, object], run: Recording) -> tuple[float | None, float]:
@@ -308,4 +316,4 @@ def _mean_pressure(channel: Channel) -> tuple[float | None, float]:
     if channel.missing.all():
         return None, 0.0
     factor = PRESSURES[channel.unit]
-    return factor * float(np.nanmean(channel.values)), factor * _held(channel)
+    return factor * float(np.nanmean(channel.values)), factor * float(np.hypot(*_held(channel)))

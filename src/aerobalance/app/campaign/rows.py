@@ -29,6 +29,7 @@ def head_of(run: Run) -> Row:
         "file": run.file,
         "setup": run.setup,
         "zero_from": " ".join((*run.zeros, *run.zeros_after)),
+        "tare_from": " ".join(run.tares),
         "balance_file": run.balance or "",
         "dynamics_file": run.dynamics or "",
     }
@@ -95,8 +96,14 @@ def _plain(unit: str) -> str:
 
 
 def _values(labels: Sequence[str], values: Array, errors: Errors) -> Row:
-    """Results with their uncertainty, and its parts that are drawn anew in each run and with each zero."""
-    columns = {"": values, "u_": errors.uncertainty(), "u_run_": errors.of_run(), "u_zero_": errors.of_zero()}
+    """Results with their uncertainty, and its parts that are drawn anew in each run, with each zero and each tare."""
+    columns = {
+        "": values,
+        "u_": errors.uncertainty(),
+        "u_run_": errors.of_run(),
+        "u_zero_": errors.of_zero(),
+        "u_tare_": errors.of_tare(),
+    }
     return {
         f"{what}{label}": float(column[place]) if np.isfinite(values[place]) else None
         for place, label in enumerate(labels)

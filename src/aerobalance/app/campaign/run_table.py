@@ -5,10 +5,12 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections.abc import Mapping
 from typing import Final
 
 from aerobalance.app.campaign.definition import Cell
 from aerobalance.app.campaign.places import fetched
+from aerobalance.io.measure import LARGEST
 from aerobalance.io.text_table import guess_encoding
 from aerobalance.recording.errors import ReadError
 
@@ -80,6 +82,7 @@ def read_rows(table: str) -> list[tuple[int, dict[str, Cell]]]:
         if "file" not in cells:
             raise ReadError(table, f"line {line}", "names no file")
         cells["file"] = row[names.index("file")].strip()  # as it is written: 0012 is no number
+        check_numbers(cells, table, f"line {line}", written=dict(zip(names, row, strict=False)))
         found.append((line, cells))
     return found
 
@@ -101,6 +104,30 @@ def _heading(table: str, text: str) -> tuple[str, float]:
 
 def _scaled(given: Cell, factor: float) -> Cell:
     return given * factor if factor != 1.0 and isinstance(given, int | float) else given
+
+
+def check_numbers(cells: Mapping[str, Cell], place: str, where: str, *, written: Mapping[str, str]) -> None:
+    """Refuse cells with numbers that nothing can be: infinite, NaN, or beyond all sizes.
+
+    Parameters
+    ----------
+    cells
+        By column.
+    place, where
+        The file, and the place in it.
+    written
+        The same as they are written, as far as that is known.
+
+    Raises
+    ------
+    ReadError
+        There is one.
+    """
+    for name, given in cells.items():
+        if isinstance(given, int | float) and not abs(given) <= LARGEST:
+            said = written.get(name, str(given)).strip()
+            what = f"which is no number up to {LARGEST:g} in size; correct it, or leave it out if it is not known"
+            raise ReadError(place, where, f"column {name} has {said}, {what}")
 
 
 def cell(text: str) -> Cell:

@@ -36,7 +36,7 @@ from aerobalance.recording.version import VERSION
 if TYPE_CHECKING:
     import xarray as xr
 
-SCHEMA: Final = 1
+SCHEMA: Final = 2
 """Version of what a run's results are: another one is worked out anew."""
 
 KEPT: Final = 16
