@@ -230,6 +230,7 @@ def short_tables(monkeypatch):
     monkeypatch.setattr(tables, "rig_experiments", lambda generator: [])
 
 
+@pytest.mark.soak(first=0)
 def test_tables_have_printed_and_measured_rows_and_repeat_themselves_with_a_seed(short_tables, tmp_path, capsys, seed):
     code, out, err = call(capsys, f"demo --tables --out {tmp_path} --seed {seed} --json")
     assert code == 0, err

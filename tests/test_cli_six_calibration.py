@@ -86,6 +86,7 @@ def test_uncertainties_hold_what_the_calibration_leaves(found: Found) -> None:
         assert found.account["fit"]["tests"][test]["p_value"] > 1e-6
 
 
+@pytest.mark.soak(first=0)
 def test_loads_files_give_the_same_dynamics_and_know_no_calibration(found: Found) -> None:
     loads = []
     for path in found.releases:
@@ -102,6 +103,7 @@ def test_loads_files_give_the_same_dynamics_and_know_no_calibration(found: Found
     assert not theirs.covariance_of_calibration.any()
 
 
+@pytest.mark.soak(first=0)
 @pytest.mark.slow
 def test_force_counts_the_calibration_of_another_balance_and_not_its_own(
     found: Found, capsys: pytest.CaptureFixture[str]

@@ -162,6 +162,7 @@ def test_parameters_are_felt_as_they_are_wrong(rng) -> None:
         assert rest < 0.05 * float(np.sqrt(np.mean(predicted**2))) + estimate.noise, name
 
 
+@pytest.mark.soak(first=0)
 def test_few_directions_of_the_parameters_are_as_uncertain_as_all(rng) -> None:
     balance, dynamics = _drawn(rng)
     band = Band(2, 1.2 * max(mode.natural_frequency for mode in dynamics.modes))

@@ -69,6 +69,7 @@ def _buffeting(rng: np.random.Generator, keep: float) -> Array:
     return np.asarray(lfilter([1.0], [1.0, -keep], white)[400:])
 
 
+@pytest.mark.soak(first=0)
 @pytest.mark.parametrize("keep", [0.0, 0.8])
 def test_uncertainty_from_what_is_left_is_that_of_many_runs(keep: float, rng) -> None:
     runs, columns = 300, _columns()

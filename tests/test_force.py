@@ -140,6 +140,7 @@ def test_smoother_goes_to_the_truth_without_noise():
     assert rms(middle(estimate.values - truth)) < 64 * 1e-7 * np.max(np.abs(truth)) * 10
 
 
+@pytest.mark.soak(first=0)
 # a tone of the load that sets in looks like a mode: a narrow band of the load does
 @pytest.mark.filterwarnings("ignore:.* that the dynamics lack")
 def test_paper_goes_to_the_truth_without_noise():

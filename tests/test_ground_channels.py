@@ -110,6 +110,7 @@ def test_a_gain_of_nine_tenths_is_found(seed):
     assert named > count / 2
 
 
+@pytest.mark.soak(first=0)
 def test_of_motions_that_go_together_the_channel_at_fault_is_named(rng):
     """All accelerations are shares of one: by one load alone, any of them could be late."""
     record = shaken(rng, together=True).with_gain("ground_acceleration_z", -1.0).used
@@ -120,6 +121,7 @@ def test_of_motions_that_go_together_the_channel_at_fault_is_named(rng):
 LATE = 2e-3
 
 
+@pytest.mark.soak(first=0)
 def test_a_delay_of_all_channels_is_told_of_all_unless_it_is_declared(rng):
     record = shaken(rng, ground_sensor=Sensor(delay=LATE)).used
     told_of = {doubt.text.split(" is ")[0]: told(doubt) for doubt in about_ground(record.force)}
@@ -135,6 +137,7 @@ def fitted(record: CoupledRecord) -> Sequence[Witness]:
     return [Witness(fit.record, fit.smoothed) for fit in fits]
 
 
+@pytest.mark.soak(first=0)
 def test_sizes_scatter_as_they_are_said_to(seed):
     """Chi-square of the three numbers of a channel, 3 on average, or less where noise in common is not used."""
     found = []

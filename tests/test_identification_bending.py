@@ -356,6 +356,7 @@ def test_a_rigid_model_has_no_bending_mode(rng):
     assert fit.further == ()
 
 
+@pytest.mark.soak(first=0)
 def test_hum_is_no_mode(rng):
     hummed = []
     for made in recordings(rigid(), rng):

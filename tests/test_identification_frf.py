@@ -34,6 +34,7 @@ def test_exact_table_gives_exact_dynamics():
     assert fit.degrees_of_freedom == 2 * FREQUENCIES.size - 2
 
 
+@pytest.mark.soak(first=0)
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
 def test_scores_of_many_tables(rng):
     draws, scores, sums = 200, [], []

@@ -110,6 +110,7 @@ def test_error_is_that_of_the_covariance(six):
     assert square.max() < chi2.isf(NEVER / 6, 1)
 
 
+@pytest.mark.soak(first=0)
 def test_a_release_that_takes_time(rng):
     true = truth()
     fit = quietly(releases(true, rng, along=("NF", "RM", "AF"), duration=0.003))

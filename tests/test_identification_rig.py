@@ -269,6 +269,7 @@ def test_live_accelerometer_agrees_or_is_called_off(rng):
     assert any("live accelerometer reads 1.1" in text for text in said(wrong, mass=MASS)[1])
 
 
+@pytest.mark.soak(first=0)
 def test_a_mode_above_does_not_bend_the_one_sought(rng):
     simulation = shake(RandomDrive(100.0, 3000.0, 1.0, rms=30.0), rng, load=0.32, acceleration=0.5, delay=0.0)
     spectrum = np.fft.rfft(simulation.ground_acceleration)

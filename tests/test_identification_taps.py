@@ -348,6 +348,7 @@ def test_a_shaker_that_tells_nothing_is_refused(rng):
         quietly(two, components=["NF", "AF"], points=UP)
 
 
+@pytest.mark.soak(first=0)
 def test_two_modes_closer_than_their_width_are_resolved(rng):
     blows = tuple(Blow(0.2 + 2 * k, 2000.0, 0.003) for k in range(4))
     record = Tapping(_TwoModes(), np.array([1.0]), blows, noise=np.array([2.0]), rate=5000.0).record(8.2, rng)
@@ -435,6 +436,7 @@ def test_six_components_have_true_uncertainties(rng):
     assert _within(squares, freedom)
 
 
+@pytest.mark.soak(first=0)
 def test_a_wrong_point_and_a_wrong_sign_of_one_point_are_named_with_where_it_was(rng):
     balance = random_balance(rng)
     turned = replace(POINTS[4], direction=(0.0, 0.0, 1.0))

@@ -81,6 +81,7 @@ def test_offset_and_drift_are_found_within_their_uncertainty(rng, way) -> None:
     assert abs(found.drift - DRIFT) < 5 * found.u_drift
 
 
+@pytest.mark.soak(first=0)
 def test_the_scatter_of_correlation_is_what_is_stated(rng) -> None:
     z = []
     for _ in range(4):
@@ -225,6 +226,7 @@ def test_a_joined_channel_takes_no_name_that_is_there():
     assert found == {names[0]: 1.0, names[1]: 22.0, "ground_acceleration_3": 7.0}
 
 
+@pytest.mark.soak(first=0)
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
 def test_a_slow_signal_of_which_a_part_is_common_is_not_put_where_it_looks_alike(rng):
     scores = []

@@ -188,6 +188,7 @@ def test_steps_and_numbers_do_not_depend_on_where_the_record_ends(rng):
         assert one.steps == other.steps
 
 
+@pytest.mark.soak(first=0)
 def test_budget_of_parts_is_that_of_the_whole(rng):
     record = run(rng, count=22_000, relative_uncertainty=0.002, zero_uncertainty=0.3)
     whole, found = (work.only for work in (estimate_force(record, UNSURE), divided(record, UNSURE).force()))
@@ -217,6 +218,7 @@ def test_regression_on_a_divided_force_has_the_uncertainty_of_the_whole(rng):
     assert other.measured[0, 0] == pytest.approx(one.measured[0, 0], rel=0.01)
 
 
+@pytest.mark.soak(first=0)
 def test_monte_carlo_of_a_divided_force_is_of_its_worst_part(rng):
     force = divided(run(rng)).force()
     with pytest.warns(
@@ -333,6 +335,7 @@ def test_a_summary_of_no_force_is_refused():
         _ = SummaryOfParts("AF", 11_000, 1).summary
 
 
+@pytest.mark.soak(first=0)
 def test_the_mean_of_a_divided_force_is_as_uncertain_as_that_of_the_whole(rng):
     record = run(rng, count=40_000, relative_uncertainty=0.01, zero_uncertainty=1.0)
     parts, whole = mean_loads(divided(record, UNSURE).force()), mean_loads(estimate_force(record, UNSURE))
@@ -340,6 +343,7 @@ def test_the_mean_of_a_divided_force_is_as_uncertain_as_that_of_the_whole(rng):
     assert parts.errors.common[0, 0] == pytest.approx(whole.errors.common[0, 0], rel=1e-3)
 
 
+@pytest.mark.soak(first=0)
 def test_numbers_of_a_force_with_a_silent_part_are_those_of_the_rest(rng):
     record = run(rng, count=40_000)
     values = record.channel("AF").values.copy()

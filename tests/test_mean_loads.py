@@ -200,6 +200,7 @@ def test_gains_of_two_channels_are_two_errors(rng):
     assert common[0, 1] == 0
 
 
+@pytest.mark.soak(first=0)
 def test_errors_of_coupled_dynamics_are_common_to_the_components(rng):
     record = SixScene().record(rng)
     force = estimate_force(recording_of(np.column_stack(list(record.columns.values())), SIX.rate), identified())

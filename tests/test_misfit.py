@@ -127,6 +127,7 @@ def test_a_missing_mode_is_named_under_a_broadband_load(rng):
     assert 0 < u_share < 0.5 * mode.share
 
 
+@pytest.mark.soak(first=0)
 def test_the_edge_of_a_load_beside_a_missing_mode_does_not_bend_it(rng):
     """The load ends at 300 Hz, within the band about the mode in which its spectrum is taken for a power of frequency.
 
@@ -188,6 +189,7 @@ def test_the_edge_of_a_load_is_no_mode(edge, rng):
     assert missing_mode(averaged(load), BARE) is None
 
 
+@pytest.mark.soak(first=0)
 def test_a_load_far_below_the_resonance_makes_no_ringing(rng):
     """What a record begins with is told by what is near the resonance: of the load itself it would be some 10 N."""
     for _ in range(trials(4, 20)):

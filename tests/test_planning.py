@@ -72,6 +72,7 @@ def test_noise_gain_of_the_exact_inverse(bandwidth, gain):
     assert found.acceleration == found.parameters == 0
 
 
+@pytest.mark.soak(first=1)
 @pytest.mark.parametrize(
     ("dynamics", "bandwidth"),
     [

@@ -477,6 +477,7 @@ def changed(rec, item, by):
     return dataclasses.replace(rec, channels=channels)
 
 
+@pytest.mark.soak(first=0)
 def test_slopes_are_those_of_changed_readings(rng):
     platform = Platform(rng, samples=2000, swing=0.002)
     settings = {"relative_uncertainty": 0.01, "zero_uncertainty": 0.1}

@@ -124,6 +124,7 @@ def test_a_hammer_with_too_few_readings(rng):
                 ab.identify(changed(record, "impact_force", values=force), mass=MASS, excitation="impact")
 
 
+@pytest.mark.soak(first=0)
 def test_a_release_that_never_came(rng):
     """Whatever noise looks like: of 40 records one was too short a ringing for its band, and one for a single mean."""
     for _ in range(trials(40, 200)):

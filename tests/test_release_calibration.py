@@ -83,7 +83,7 @@ def inertia_and_damping(fit: ReleaseFit, units: Units) -> Array:
     return np.concatenate([A.ravel(), (A @ brake).ravel()])
 
 
-@pytest.mark.soak(first=1)
+@pytest.mark.soak(first=0)
 @pytest.mark.parametrize("way", ["iterative", "non-iterative"])
 def test_slopes_are_those_of_true_refits(way: str, rng) -> None:
     matrix = calibrated(rng, size=1e-5, way=way)
@@ -199,6 +199,7 @@ def test_hidden_coordinates_are_turned_as_slow_motion_is(rng) -> None:
     assert (modes.u_natural_frequency < readings.u_natural_frequency).all()
 
 
+@pytest.mark.soak(first=0)
 def test_errors_have_the_covariance_of_readings_and_calibration(rng) -> None:
     matrix = calibrated(rng, size=3e-5)
     wrong, _ = drawn(matrix, rng)

@@ -128,6 +128,7 @@ def test_noise_response_is_that_of_the_filters(rng) -> None:
         assert abs(found - expected) < 1e-3 * size
 
 
+@pytest.mark.soak(first=0)
 def test_soft_loads_come_back_as_from_all_channels(rng) -> None:
     balance, simulation = _soft_loads(rng)
     row, joint = _bounds(balance, simulation.recording.rate)

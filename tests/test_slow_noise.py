@@ -60,6 +60,7 @@ def test_it_is_no_force_where_there_is_none():
         assert force.verdict is Verdict.FIT
 
 
+@pytest.mark.soak(first=0)
 @pytest.mark.parametrize(
     "force", [soft(1.0, 3.0, 2.0), band(1.0, 0.3, 100, fall=1.0), band(2.0, 0, 40)], ids=["1/f^2", "1/f", "band"]
 )

@@ -193,6 +193,7 @@ def test_coupled_components_with_their_weight(rng) -> None:
         assert rms(found[name].uncertainty[inside]) == pytest.approx(rms(whole[name].uncertainty[inside]), rel=0.1)
 
 
+@pytest.mark.soak(first=0)
 def test_the_ends_are_no_worse(rng) -> None:
     """The first and last 20 ms of records: hardly more off than on their own clock, and as unsure as they say."""
     ours, theirs, stated = [], [], []
@@ -213,6 +214,7 @@ def test_the_ends_are_no_worse(rng) -> None:
     assert rms(ours) < (1.115 + 4 * 0.62 / np.sqrt(len(ours))) * rms(theirs)
 
 
+@pytest.mark.soak(first=0)
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
 def test_a_record_that_contradicts_its_dynamics_says_so(rng) -> None:
     """A mode of 3 % at 153 Hz that the dynamics lack, under a load to 200 Hz, may look like a color of the noise."""
