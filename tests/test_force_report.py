@@ -25,6 +25,7 @@ from aerobalance.recording.components import STANDARD_GRAVITY, si_unit
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.parts import parts_of
 from aerobalance.recording.recording import Recording
+from aerobalance.uncertainty.budget import beyond_its_extremes
 
 MASS, STIFFNESS, PITCH, FORCE = 178.0, 3.09e7, np.radians(2.5), 200.0
 
@@ -77,6 +78,24 @@ def test_the_page_says_what_was_used_and_leads_from_load_to_force(tmp_path, monk
     assert ["record", "First sample", "2024-03-12 08:30:00.000", ""] in rows
     assert [row[1] for row in rows if row[0] == "Mean weight in it, taken off"] == ["76.141"]
     assert "ground_acceleration is not recorded" in page
+
+
+def test_an_rms_beyond_the_largest_value_is_explained_where_it_stands(tmp_path, monkeypatch, capsys) -> None:
+    """A steady force: the estimate is all but flat, and what may be there unseen is as large as its uncertainty."""
+    damping = 2 * 0.006 * np.sqrt(STIFFNESS * MASS)
+    found, page = reported(tmp_path, monkeypatch, capsys, {"AF": Dynamics("AF", MASS, STIFFNESS, damping)})
+    part = found["components"]["AF"]
+    farthest = max(part["largest"] - part["mean"], part["mean"] - part["least"])
+    assert part["rms_about_mean"] > farthest
+    text = (
+        f"rms about the mean, {part['rms_about_mean']:.3g} N, is more than the largest and the least value are from "
+        f"the mean, {farthest:.2g} N, as these are of the estimate"
+    )
+    assert text in page
+    assert main(["force", "run.h5", "--dynamics", "d.json", "-o", "f.csv"]) == 0
+    assert f"AF: the {text}" in capsys.readouterr().out
+    loud = part | {"largest": part["mean"] + 1.01 * part["rms_about_mean"]}
+    assert beyond_its_extremes(loud, "N") == ""
 
 
 def test_of_coupled_components_the_modes_are_listed(tmp_path, monkeypatch, capsys) -> None:

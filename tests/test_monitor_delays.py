@@ -141,6 +141,45 @@ def test_gauge_outputs_read_one_after_the_other_are_brought_together(seed) -> No
     assert kept < 0.02 * wrong
 
 
+def test_loads_and_limits_of_the_page_are_those_of_gauges_at_one_instant(seed) -> None:
+    """N1 and N2 of one normal force, 1.5 samples early and late: a moment that is not there, and over its limit."""
+    rate, late, frequency = 6000.0, 1.5, 150.0
+    balance = replace(calibrated(seed), natural_zero=None)
+    size = 0.3 * CAPACITIES * np.array([1.0, 1.0, 0, 0, 0, 0])
+    lags = late * np.array([-1.0, 1.0, 0.0, 0.0, 0.0, 0.0])
+    count = np.arange(3000)[:, None]
+
+    def outputs(by: Array) -> Array:
+        """What each gauge reads late by so many samples."""
+        swings = [size * np.sin(2 * np.pi * frequency * (count - one) / rate) for one in by]
+        return np.column_stack([balance.outputs(swing)[:, place] for place, swing in enumerate(swings)])
+
+    def shown(rows: Array, delays: Array, limits: dict[str, tuple[float, float]]) -> tuple[View, Array]:
+        channels = tuple(
+            StoredChannel(f"r{gauge}", "mV/V", delay=float(by) / rate)
+            for gauge, by in zip(balance.gauges, delays, strict=True)
+        )
+        view = View(Panel(channels, rate, True, dynamics_of(DYNAMICS), {}, limits, balance=balance))
+        for tick in range(0, len(rows), 500):
+            view.feed(Block(tick, rows[tick : tick + 500], (tick + 499) / rate))
+        return view, np.concatenate([bins.largest for bins in view.update.raw])[-50:].max(axis=0)
+
+    view, chart = shown(outputs(0 * lags), 0 * lags, {})
+    there = view.update.readings
+    limits = {"PM": (-0.005 * CAPACITIES[0], 0.005 * CAPACITIES[0])}
+    ignored, _ = shown(outputs(lags), 0 * lags, limits)
+    delayed, aligned = shown(outputs(lags), lags, limits)
+    assert ignored.update.readings["PM"].state == "over"
+    assert delayed.update.readings["PM"].state == "ok"
+    # below half of the Nyquist frequency the interpolation errs by less than 1e-3 (see test_live_alignment)
+    for place, name in enumerate(view.panel.names):
+        size = 1e-3 * there["NF"].largest if name in view.panel.loads else 1e-2 * there[name].largest
+        assert delayed.update.readings[name].largest == pytest.approx(there[name].largest, abs=size), name
+        assert aligned[place] == pytest.approx(chart[place], abs=size), name
+    # rows that wait for gauge outputs after them are of the time at which they were read
+    assert delayed.means_since == pytest.approx(0, abs=1e-9)
+
+
 def test_a_delay_that_cannot_be_is_refused() -> None:
     with pytest.raises(ReadError, match=r"channels\.AF.*delay.*at most 1 s"):
         setup_from({"channels": {"AF": {"delay": 40.0}}})

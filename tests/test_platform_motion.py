@@ -268,10 +268,12 @@ def test_a_rate_of_turn_that_rises_steadily_is_a_turn(rng):
     found = PlatformMotion.of(Recording.from_columns(time, {channel.name: still}))
     assert not found.acceleration.any()
     assert "shows nothing beyond its noise" in " ".join(found.assumptions)
-    turning = dataclasses.replace(still, values=still.values + 1.0)
+    turning = dataclasses.replace(still, values=still.values + 2.0)
     found = PlatformMotion.of(Recording.from_columns(time, {channel.name: turning}))
     (said,) = [text for text in found.assumptions if channel.name in text]
-    assert "no change beyond its noise and is not used; its mean of 1 rad/s may be a steady turn or its zero" in said
+    assert "no change beyond its noise and is not used; its mean of 2 rad/s is taken as its zero" in said
+    assert "4 m/s^2 for each metre" in said  # w^2
+    assert "take the mean of loads that count from a zero or a wind-off recording of the same turn" in said
 
 
 def test_motion_that_no_sensor_sees_is_named():
@@ -457,8 +459,16 @@ def test_offset_is_told(rng):
         noisy(Channel(f"ground_acceleration_{i}", shift + off, "m/s^2", axis=(0.0, 0.0, 1.0)), rng, 1.0)
         for i, off in enumerate((0.0, 0.5, 0.0))
     ]
-    with pytest.warns(DataQualityWarning, match=r"ground_acceleration_1 reads 0\.[3-7]\d* more"):
+    with pytest.warns(DataQualityWarning, match=r"ground_acceleration_1 reads 0\.[3-7]\d* m/s\^2 more than"):
         PlatformMotion.of(recording(*trio))
+    # offset 0.5 rad/s^2, of a noise of 1 in the mean of 4000 samples and as little from the accelerometers
+    turn = noisy(Channel("ground_turn_PM", np.full(4000, -0.5), "rad/s^2"), rng, 1.0)
+    row = [
+        noisy(Channel(f"ground_acceleration_{i}", shift, "m/s^2", axis=(0.0, 0.0, 1.0), place=(x, 0.0, 0.0)), rng, 1.0)
+        for i, x in enumerate((-2.0, 0.0, 2.0))
+    ]
+    with pytest.warns(DataQualityWarning, match=r"ground_turn_PM reads 0\.[45]\d* rad/s\^2 less than"):
+        PlatformMotion.of(recording(*row, turn))
 
 
 def changed(rec, item, by):

@@ -235,6 +235,16 @@ def test_uncertainty_of_a_mean_holds_for_correlated_noise(rng):
     assert 0.85 < spread < 1.25
 
 
+def test_uncertainty_of_a_short_mean_counts_readings_that_are_repeated_once(rng):
+    scores = []
+    for _ in range(400):
+        given = points_from_recordings([recording(np.zeros(30), np.repeat(rng.normal(size=15), 2))], ["AF"])
+        scores.append(given.loads[0, 0] / given.noise[0, 0])
+    # 15 means of two readings each: Student with 14 degrees of freedom, kurtosis 3.6, so that the standard deviation
+    # of 400 scatters by sqrt(2.6 / 1600), 4 %; 30 readings that count one each make them 1.41 times as wide
+    assert np.std(scores) / stats.t(14).std() == pytest.approx(1, abs=0.2)
+
+
 def test_a_recording_that_keeps_moving_is_refused():
     pitch = np.linspace(-0.3, 0.3, 20000)
     with pytest.raises(FitError, match="sweep: pitch is nowhere steady"):

@@ -17,7 +17,7 @@ from aerobalance.acquisition.simulated import RigSettings, SimulatedSource
 from aerobalance.app.cli import main
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import read_blocks
-from aerobalance.io.locked_file import is_locked, recover_all
+from aerobalance.io.locked_file import LockedFile, is_locked, recover_all
 from helpers.at_work import blocks_of, follow
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="there, an open file cannot be deleted")
@@ -93,6 +93,23 @@ def test_record_goes_on_where_its_name_is_taken_away(take_away, words, name, tmp
     assert kept.state == "ended"
     assert [bytes(event["text"]).decode() for event in kept.events if event["kind"] == b"file"] == [progress.mishap]
     assert not list(tmp_path.glob(".*"))
+
+
+def test_folder_that_is_moved_takes_the_second_name_along(tmp_path) -> None:
+    old, new = tmp_path / "old", tmp_path / "new"
+    old.mkdir()
+    (old / "run.h5").write_bytes(b"samples")
+    held = LockedFile(old / "run.h5")
+    assert [file.name for file in old.glob(".*")] == [".run.h5.recording"]
+    old.rename(new)
+    assert held.look().text == f"run.h5 was moved to {new / 'run.h5'} while it was written"
+    old.mkdir()  # what takes the place of the old folder is not touched
+    assert held.look() is None
+    (new / "run.h5").unlink()
+    assert held.look().path == new / "run-2.h5"
+    held.release()
+    assert list(old.iterdir()) == []
+    assert [(file.name, file.read_bytes()) for file in new.iterdir()] == [("run-2.h5", b"samples")]
 
 
 def test_name_that_is_taken_away_twice(tmp_path) -> None:

@@ -1,5 +1,6 @@
 """The recorder: what it acknowledges is on the disk, whoever is killed and however full the disk is."""
 
+import errno
 import json
 import os
 import resource
@@ -138,6 +139,24 @@ def test_disk_is_watched_and_what_fits_is_kept(tmp_path, monkeypatch) -> None:
     assert len(stored(tmp_path / "run.h5")) == 128
     assert contents(tmp_path / "run.h5").reason == take.progress.reason
     read(tmp_path / "run.h5")
+
+
+def test_space_that_the_system_does_not_tell_is_no_full_disk(tmp_path, monkeypatch) -> None:
+    take = RecordWriter(job(tmp_path / "run.h5"))
+    known = take.progress.free
+
+    def unanswered(_):
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(recorder_module.shutil, "disk_usage", unanswered)
+        take.feed(Block(0, truth(0, 128), 0.0))
+    assert not take.progress.over, take.progress.reason
+    assert (take.progress.full, take.progress.free) == (False, known)
+    take.feed(Block(128, truth(128, 256), 0.0))
+    take.end("done")
+    assert (take.progress.reason, take.progress.samples) == ("done", 256)
+    assert len(stored(tmp_path / "run.h5")) == 256
 
 
 SETUP = (

@@ -1,6 +1,8 @@
 """Replay: what is played is what was recorded, and a recording need not fit into the memory."""
 
+import errno
 import math
+import os
 import pickle
 import tracemalloc
 
@@ -12,6 +14,7 @@ from aerobalance.acquisition.session import Session
 from aerobalance.acquisition.setup import setup_from, stored_channels
 from aerobalance.acquisition.source import SourceChannel, SourceEndedError
 from aerobalance.acquisition.sources import open_source
+from aerobalance.app.cli import main
 from aerobalance.io import read
 from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
 from aerobalance.recording.channel import AntiAlias, CrossAxis
@@ -199,3 +202,11 @@ def test_a_replay_begins_again_without_a_gap_and_says_so(tmp_path, kind) -> None
     assert [block.tick for block in blocks if block.remark == AGAIN] == [130, 260]
     assert {block.remark for block in blocks} == {"", AGAIN}
     assert "again and again" in source.description
+
+
+def test_links_in_a_circle_are_told_as_such(tmp_path, capsys) -> None:
+    (tmp_path / "run.csv").symlink_to(tmp_path / "other.csv")
+    (tmp_path / "other.csv").symlink_to(tmp_path / "run.csv")
+    words = ["record", "--source", "replay", "--file", str(tmp_path / "run.csv"), "-o", str(tmp_path / "run.h5")]
+    assert main(words) == 2
+    assert f"{tmp_path / 'run.csv'}: cannot be read: {os.strerror(errno.ELOOP)}" in capsys.readouterr().err

@@ -7,8 +7,20 @@ import numpy as np
 import pytest
 from nptdms import ChannelObject, TdmsWriter
 
-from aerobalance.io import read, read_table
+from aerobalance.acquisition.replay import ReplaySource
+from aerobalance.acquisition.setup import load_setup
+from aerobalance.app.campaign.run_table import read_rows
+from aerobalance.io import load_channel_map, read, read_table
+from aerobalance.io.anything import read as read_anything
+from aerobalance.io.artefacts import digest
+from aerobalance.io.balance_file import read_matrix
+from aerobalance.io.dynamics_file import dynamics_kind, read_any_dynamics, read_dynamics
+from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
+from aerobalance.io.kinds import kind_of
+from aerobalance.io.mass_file import read_weighing
+from aerobalance.io.modal_uff import read_modes
+from aerobalance.io.schedule import read_schedule
 from aerobalance.recording.errors import DataQualityWarning, ReadError
 
 GOOD = "time [s],AF [N]\n0,1\n0.1,2\n0.2,3\n"
@@ -121,6 +133,34 @@ def test_missing_file_and_folder(tmp_path):
         read(tmp_path)
     with pytest.raises(ReadError, match="no such file"):
         read_table(tmp_path / "none.csv")
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="pipes have no names there")
+@pytest.mark.parametrize(
+    "look",
+    [
+        read,
+        read_anything,
+        read_dynamics,
+        read_any_dynamics,
+        read_matrix,
+        read_modes,
+        read_schedule,
+        read_weighing,
+        load_channel_map,
+        load_setup,
+        contents,
+        digest,
+        ReplaySource,
+        lambda path: read_rows(str(path)),
+    ],
+)
+def test_a_pipe_in_the_place_of_a_file_is_refused_and_not_waited_for(tmp_path, look):
+    pipe = tmp_path / "run.csv"
+    os.mkfifo(pipe)
+    with pytest.raises(ReadError, match=r"run\.csv: is a pipe.* ordinary file is needed"):
+        look(pipe)
+    assert (kind_of(pipe), dynamics_kind(pipe)) == ("", None)
 
 
 @pytest.mark.skipif(os.geteuid() == 0, reason="the superuser may read everything")

@@ -72,7 +72,7 @@ class Progress:
     touched
         Number of contacts between model and support.
     free
-        Space left on the disk [bytes].
+        Space left on the disk when the system last told it [bytes].
     full
         Whether a full disk ended the record.
     mishap
@@ -149,7 +149,7 @@ class RecordWriter:
         self.held = LockedFile(Path(job.path))
         state: State = "starting" if isinstance(plan.trigger, AtOnce) else "waiting"
         self.progress = Progress(state, plan.trigger.text, job.path)
-        self._set(free=self._free())
+        self._see_free()
         self._block_bytes = plan.rows * len(plan.channels) * 8
         self._origin = 0
         self._end: str | None = None
@@ -257,9 +257,9 @@ class RecordWriter:
         self.look()
         if self.progress.over:
             return
-        free = self._free()
-        if free < self.job.keep_free + 2 * self._block_bytes:
-            self._set(full=True, free=free)
+        free = self._see_free()
+        if free is not None and free < self.job.keep_free + 2 * self._block_bytes:
+            self._set(full=True)
             self.end_without_rest(
                 f"disk full: {free / 1e6:.1f} MB left, of which {self.job.keep_free / 1e6:.1f} MB are kept free; "
                 "all blocks before are kept"
@@ -271,7 +271,6 @@ class RecordWriter:
             blocks=number + 1,
             samples=self.writer.samples,
             seconds=(done - self._origin) / self.job.plan.rate,
-            free=free,
         )
 
     def end_without_rest(self, reason: str) -> None:
@@ -285,15 +284,22 @@ class RecordWriter:
         reason = f"disk full: {text}; all blocks before are kept"
         with contextlib.suppress(OSError):
             self.writer.abandon(reason)
-        self._set(state="ended", reason=reason, full=True, free=self._free())
+        self._see_free()
+        self._set(state="ended", reason=reason, full=True)
         if not self._gone:  # else what the file holds is still to be copied
             self.held.release()
 
-    def _free(self) -> int:
+    def _see_free(self) -> int | None:
+        """Note and return the space left on the disk [bytes]; None where the system does not tell it.
+
+        That is no full disk: a disk that is full refuses the block itself.
+        """
         try:
-            return shutil.disk_usage(Path(self.progress.path).parent).free
+            free = shutil.disk_usage(Path(self.progress.path).parent).free
         except OSError:
-            return 0
+            return None
+        self._set(free=free)
+        return free
 
     def _set(self, **changes: Any) -> None:
         self.progress = replace(self.progress, **changes)

@@ -44,6 +44,7 @@ from aerobalance.io.coupled_part import (
     coupled_from,
     coupled_payload,
 )
+from aerobalance.io.opening import opened_file
 from aerobalance.recording.components import COMPONENTS, dynamics_units, si_unit
 from aerobalance.recording.errors import ReadError, warn_quality
 
@@ -257,8 +258,9 @@ def dynamics_kind(path: Path | str) -> Kind | None:
     Coupled ones are a list, and have matrices.
     """
     try:
-        given = json.loads(Path(path).read_bytes().decode("utf-8-sig"))
-    except (OSError, ValueError, RecursionError):
+        with opened_file(Path(path)) as file:
+            given = json.loads(file.read().decode("utf-8-sig"))
+    except (ReadError, ValueError, RecursionError):
         return None
     if not isinstance(given, dict) or given.get("kind", "dynamics") not in ("dynamics", FORMER):
         return None

@@ -18,6 +18,7 @@ from aerobalance.io.hdf5_closing import is_written, marked_as_written
 from aerobalance.io.hdf5_heaps import check_heaps
 from aerobalance.io.hdf5_layout import BLOCK, CHANNELS, EVENT, FORMAT, GAP, STATUS, StoredChannel
 from aerobalance.io.hdf5_marked import UnmarkedFile
+from aerobalance.io.opening import opened_file
 from aerobalance.io.said_by_file import date_of
 from aerobalance.recording.analog_filter import AntiAlias, Kind
 from aerobalance.recording.channel import Channel, Coupling, CrossAxis, unit_inside
@@ -113,8 +114,6 @@ def opened(path: Path) -> Iterator[h5py.File]:
             yield stack.enter_context(h5py.File(source, "r", libver="latest", **settings))
     except (ReadError, GeneratorExit):
         raise
-    except FileNotFoundError:
-        raise ReadError(path, "", "there is no such file") from None
     except Exception as error:  # noqa: BLE001 - the library fails in a dozen ways on damaged files
         text = " ".join(str(error).split()) or type(error).__name__
         raise ReadError(
@@ -124,7 +123,7 @@ def opened(path: Path) -> Iterator[h5py.File]:
 
 def _is_marked(path: Path) -> bool:
     """Return whether the file is being written to, or was when its writer was killed: a flag in the superblock."""
-    with path.open("rb") as file:
+    with opened_file(path) as file:
         return marked_as_written(file.read(12))
 
 

@@ -10,6 +10,7 @@ from typing import Final
 
 from aerobalance.io import arrow_file, hdf5_file, hdf5_foreign, hdf5_rows, mat_file, uff_file
 from aerobalance.io.hdf5_contents import contents
+from aerobalance.io.opening import opened_file
 from aerobalance.io.series import Reader
 from aerobalance.recording.errors import ReadError
 
@@ -38,9 +39,9 @@ def kind_of(path: Path) -> str:
         empty string for everything else.
     """
     try:
-        with path.open("rb") as file:
+        with opened_file(path) as file:
             head = file.read(65536)
-    except OSError:
+    except ReadError:
         return ""
     if not head:
         return EMPTY

@@ -91,6 +91,7 @@ class LockedFile:
             moved = moved.readlink()
         if self._is(moved) and moved not in (self._spare, Path(f"/proc/self/fd/{self._handle}")):
             self.path = moved
+            self._follow_folder()
             return FileFault(f"{old} was moved to {moved} while it was written", moved)
         what = "was replaced by another file" if there else "was deleted"
         found = self._new_name() if self._is(self._spare) else None
@@ -137,6 +138,13 @@ class LockedFile:
             return os.path.samestat(os.lstat(path), os.fstat(self._handle))
         except OSError:
             return False
+
+    def _follow_folder(self) -> None:
+        """Find the second name again where the whole folder was moved, and not the file alone."""
+        beside = self.path.with_name(self._spare.name)
+        if not self._is(self._spare) and self._is(beside):
+            self._spare = beside
+            self._first = self.path.with_name(self._first.name)
 
     def _link(self) -> None:
         """Give the file its second name, where the file system has hard links."""

@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.io.opening import opened_file
 from aerobalance.io.safe_write import replacing
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, DIRECTIONS, MOMENTS
@@ -167,12 +168,11 @@ def read_modes(path: Path) -> ReadModes:
     ReadError
         The file has no such data set, or one that does not fit its own header.
     """
-    try:
-        if path.stat().st_size > LARGEST:
-            raise ReadError(path, "", f"is larger than {LARGEST // 10**6} MB, which no file of modes is")
-        lines = path.read_text(encoding="ascii", errors="replace").splitlines()
-    except OSError as error:
-        raise ReadError(path, "", f"cannot be read: {error.strerror or error}") from None
+    with opened_file(path) as file:
+        content = file.read(LARGEST + 1)
+    if len(content) > LARGEST:
+        raise ReadError(path, "", f"is larger than {LARGEST // 10**6} MB, which no file of modes is")
+    lines = content.decode("ascii", errors="replace").splitlines()
     marks = [number for number, line in enumerate(lines) if line.strip() == "-1"]
     poles, shapes = [], []
     kinds = []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BufferedReader
@@ -17,9 +18,17 @@ def opened_file(path: Path) -> Iterator[BufferedReader]:
     Raises
     ------
     ReadError
-        It is missing, a folder, or cannot be opened or read.
+        It is missing, a folder, a pipe or another special file, or cannot be opened or read.
     """
     try:
+        mode = path.stat().st_mode  # before it is opened: a pipe nobody writes to would wait for ever
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+            raise ReadError(
+                path,
+                "",
+                "is a pipe, a device or a socket, and files are read more than once; an ordinary file is needed: "
+                "save what it gives in one",
+            )
         stream = path.open("rb")
     except (OSError, ValueError) as error:  # a name with a zero byte is a ValueError
         raise _refusal(path, error) from None

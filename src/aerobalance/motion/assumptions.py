@@ -29,6 +29,13 @@ ROLLS_IN_NOISE: Final = 3.0
 TOLD: Final = 0.01
 """Part of an accelerometer's noise from which the size of w x (w x r) in it is told."""
 
+_STEADY: Final = (
+    "; its mean of {mean:.3g} rad/s is taken as its zero, from which it cannot tell a steady turn. Such a turn pulls "
+    "steadily, {pull:.2g} m/s^2 for each metre from its axis, and that stays in the mean of the force: if the ground "
+    "end turns, take the mean of loads that count from a zero or a wind-off recording of the same turn"
+)
+"""What is said of a rate of turn that does not change and is not zero."""
+
 
 def taken_as_zero(first: GroundFit, found: Turning) -> Iterator[str]:
     """What is taken as zero or approximately because of what the sensors of six motions do not see."""
@@ -41,7 +48,7 @@ def taken_as_zero(first: GroundFit, found: Turning) -> Iterator[str]:
             mean = float(np.mean(sensor.values))
             off_zero = abs(mean) > CLEARLY * sensor.noise / np.sqrt(sensor.values.size)
             said = f"{names[index]} shows {'no change' if off_zero else 'nothing'} beyond its noise and is not used"
-            yield f"{said}; its mean of {mean:.3g} rad/s may be a steady turn or its zero" if off_zero else said
+            yield said + (_STEADY.format(mean=mean, pull=mean**2) if off_zero else "")
     used = np.any([band.used for band in first.bands], axis=0)
     yield from unseen(first.rows[used], first.columns)
     for band in first.bands[1:]:

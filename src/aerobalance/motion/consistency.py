@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.motion.least_squares import GroundFit
+from aerobalance.motion.sensors import Kind
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import warn_quality
 
@@ -39,6 +40,9 @@ class ConsistencySettings:
 
 SETTINGS: Final = ConsistencySettings()
 """Thresholds that are used."""
+
+_UNITS: Final[dict[Kind, str]] = {"acceleration": "m/s^2", "turn": "rad/s^2", "rate": "rad/s^2 in its slope"}
+"""Unit of what is compared of a sensor: a rate of turn is differentiated."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,7 +168,11 @@ class _Faults:
         blocks = np.array([part.mean(axis=0) for part in np.array_split(self.left, min(SETTINGS.blocks, samples))])
         scatter = np.maximum(self.floor / samples, np.var(blocks, axis=0) / SETTINGS.blocks)
         doubtful = np.abs(mean) > SETTINGS.sure * np.sqrt(scatter + self.allowed)
-        words = [f"{abs(b):.3g} {'more' if b > 0 else 'less'}" for b in mean / self.redundancy]
+        units = [_UNITS[sensor.kind] for sensor in self.fit.sensors]
+        words = [
+            f"{abs(b):.3g} {unit} {'more' if b > 0 else 'less'}"
+            for b, unit in zip(mean / self.redundancy, units, strict=True)
+        ]
         scores = np.where(doubtful, np.abs(mean) / np.sqrt(self.floor), 0.0)
         return scores, [f"reads {by} than the others say, all along" for by in words]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -170,9 +170,16 @@ class PlatformMotion:
 
     def unread_at(self, delay: float, *, interval: float) -> NDArray[np.bool_]:
         """Where a load that lags the clock by a delay [s] was read while a sensor of a moving ground was not, (n,)."""
-        moves = np.ptp(self.specific_force, axis=0).any()
-        lags = [delay - own for own in self.delays] if moves else []
-        return held_by_delays(len(self.specific_force), delays=lags, interval=interval)
+        return unread_beside(self.specific_force, self.delays, delay=delay, interval=interval)
+
+
+def unread_beside(motion: Array, delays: Sequence[float], *, delay: float, interval: float) -> NDArray[np.bool_]:
+    """Where a series that lags the clock by a delay [s] was read while one that makes up a motion was not, shape (n,).
+
+    A motion that is constant, shape (n,) or (n, c), is known where nothing was read as well.
+    """
+    lags = [delay - own for own in delays] if np.ptp(motion, axis=0).any() else []
+    return held_by_delays(len(motion), delays=lags, interval=interval)
 
 
 def driven_column(component: str) -> int:

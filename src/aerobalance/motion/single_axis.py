@@ -9,11 +9,10 @@ from numpy.typing import NDArray
 
 from aerobalance.dynamics.driven_modes import DrivenModes
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.motion.platform import PlatformMotion, SystematicParameter, driven_column
+from aerobalance.motion.platform import PlatformMotion, SystematicParameter, driven_column, unread_beside
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.resampling import held_by_delays
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,8 +95,7 @@ class GroundMotion:
 
     def unread_at(self, delay: float, *, interval: float) -> NDArray[np.bool_]:
         """As for `PlatformMotion`."""
-        lags = [delay - own for own in self.delays] if np.ptp(self.specific_force) > 0 else []
-        return held_by_delays(self.specific_force.size, delays=lags, interval=interval)
+        return unread_beside(self.specific_force, self.delays, delay=delay, interval=interval)
 
 
 def load_from_ground(motion: GroundMotion, dynamics: Dynamics, *, rate: float, load_delay: float = 0.0) -> Array:

@@ -124,6 +124,28 @@ def scalars(estimate: ComponentForce | ForceSummary) -> tuple[Scalar, ...]:
     return _scalars(_sums_of(estimate))
 
 
+def beyond_its_extremes(found: Mapping[str, float], unit: str) -> str:
+    """Say why a force has a larger rms about its mean than its estimate's extremes; an empty string where it has not.
+
+    Parameters
+    ----------
+    found
+        The numbers of `scalars` by name, and ``uncertainty_rms``, the rms of the standard uncertainty of a sample.
+    unit
+        Their unit.
+    """
+    rms, mean = found["rms_about_mean"], found["mean"]
+    farthest = max(found["largest"] - mean, mean - found["least"])
+    if rms <= farthest:
+        return ""
+    u = found["uncertainty_rms"]
+    return (
+        f"the rms about the mean, {rms:.3g} {unit}, is more than the largest and the least value are from the mean, "
+        f"{farthest:.2g} {unit}, as these are of the estimate; the rms is that of the force, which lies about its "
+        f"estimate with the uncertainty of a sample, {u:.3g} {unit}: so large may a force be that does not show"
+    )
+
+
 def _sums_of(estimate: ComponentForce | ForceSummary) -> ForceSums:
     """Sums over the samples of a force."""
     if isinstance(estimate, ForceSummary):

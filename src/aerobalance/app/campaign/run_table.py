@@ -11,6 +11,7 @@ from typing import Final
 from aerobalance.app.campaign.definition import Cell
 from aerobalance.app.campaign.places import fetched
 from aerobalance.io.measure import LARGEST
+from aerobalance.io.opening import opened_file
 from aerobalance.io.text_table import guess_encoding
 from aerobalance.recording.errors import ReadError
 
@@ -45,11 +46,8 @@ def read_rows(table: str) -> list[tuple[int, dict[str, Cell]]]:
     ReadError
         There is no column `file`, or a row has more cells than the header.
     """
-    with fetched(table) as path:
-        try:
-            content = path.read_bytes()
-        except OSError as error:
-            raise ReadError(table, "", f"cannot be read: {error.strerror or error}") from None
+    with fetched(table) as path, opened_file(path) as file:
+        content = file.read()
     encoding = guess_encoding(content)
     if encoding is None:
         raise ReadError(table, "", "is no text; a table of runs is CSV with a column file")

@@ -126,7 +126,7 @@ def chosen_setup(setup: Path | None, options: RecordOptions) -> Setup:
     source["kind"] = options.source or source.get("kind", "simulated")
     if source["kind"] not in SOURCES:
         raise ValueError(f"--source must be one of {', '.join(SOURCES)}, not {source['kind']}")
-    extra = {"file": options.file and str(options.file.resolve()), "rig": options.rig, "speed": options.speed}
+    extra = {"file": options.file and str(options.file.absolute()), "rig": options.rig, "speed": options.speed}
     for name, value in (extra | {"seed": options.seed}).items():
         if value is None:
             continue

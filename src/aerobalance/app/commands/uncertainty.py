@@ -14,7 +14,7 @@ from aerobalance.app.commands.shared import Result, table_text
 from aerobalance.estimation.result import ForceSummary
 from aerobalance.recording.components import density_unit, si_unit
 from aerobalance.recording.recording import Recording
-from aerobalance.uncertainty.budget import BudgetLine, advice, component_budget, scalars, spectrum
+from aerobalance.uncertainty.budget import BudgetLine, advice, beyond_its_extremes, component_budget, scalars, spectrum
 from aerobalance.uncertainty.monte_carlo import Compared, MonteCarlo
 
 SHOWN_STEPS: Final = 5
@@ -165,6 +165,8 @@ def force_text(result: Result) -> str:
         ),
         *lines,
     ]
+    beyond = {name: beyond_its_extremes(found, found["unit"]) for name, found in components.items()}
+    texts += [f"{name}: {text}" for name, text in beyond.items() if text]
     texts += [monte_carlo_text(name, found) for name, found in components.items() if "monte_carlo" in found]
     if len(components) == 1:
         texts += [found["improve_first"] for found in components.values() if found["improve_first"]]

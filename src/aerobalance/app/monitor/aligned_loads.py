@@ -1,4 +1,4 @@
-"""Loads of the live force, of gauge outputs that are brought to one instant first."""
+"""Loads of the page and of the live force, of gauge outputs that are brought to one instant first."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from aerobalance.recording.channel import Array
 
 
 class AlignedLoads:
-    """Rows of all channels with loads made of gauge outputs that were read at one instant.
+    """Rows of all channels, as they are read, with loads made of gauge outputs that were read at one instant.
 
     Parameters
     ----------
@@ -21,13 +21,13 @@ class AlignedLoads:
     loads
         First column of the loads that are made of them.
     late
-        Samples by which each column comes later than the gauge outputs do on average, shape (c,); of these alone it
-        is taken out here, of sensors and loads by the live force.
+        Samples by which each column comes later than the gauge outputs do on average, shape (c,). It is taken out of
+        the gauge outputs that loads are made of, here, and of sensors and loads by the live force.
     """
 
     def __init__(self, gauges: LoadColumns, *, loads: int, late: Sequence[float]) -> None:
-        self._gauges, self._loads = gauges, slice(loads, None)
-        self._late = [by if place in gauges.columns else 0.0 for place, by in enumerate(late)]
+        self._gauges, self._loads = gauges, slice(loads, len(late))
+        self._late = [*(0.0 for _ in late), *(late[place] for place in gauges.columns)]
         self.forget()
 
     def forget(self) -> None:
@@ -43,10 +43,13 @@ class AlignedLoads:
             self.forget()
             self._first = tick
         self._end = tick + len(values)
-        rows = self._aligner.push(values)
-        first, self._first = self._first, self._first + len(rows)
-        if rows is not values:
+        given = np.column_stack(
+            (values, values[:, self._gauges.columns])
+        )  # interpolated, none would rest on its limit
+        made = self._aligner.push(given)
+        first, self._first = self._first, self._first + len(made)
+        rows, outputs = np.split(made, [values.shape[1]], axis=1)
+        if made is not given:
             with np.errstate(over="ignore", invalid="ignore"):  # of numbers that count as missing
-                outputs = rows[:, self._gauges.columns]
                 rows[:, self._loads] = felt(self._gauges.balance, outputs) - offsets[self._loads]
         return first, rows

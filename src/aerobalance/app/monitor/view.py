@@ -271,19 +271,22 @@ class View:
         tick, values = watched.block.tick, self._values(watched.block.samples)
         self._tell_large(tick)
         update.tick, update.received = watched.block.end, block.received
+        self._watch_contact(tick, values)
+        if self._aligned is not None:
+            tick, values = self._aligned.push(tick, values, offsets=self._offsets)
+            self._without_large(values)
+        if not len(values):
+            return
         update.raw.append(self._raw.push(tick, values))
         for name, piece in self._final(tick, values):
             pair = np.column_stack((piece.force, piece.uncertainty))
             update.forces.setdefault(name, []).append(self._force[name].push(piece.first, pair))
             self._estimates[name].append(pair)
             self._spectra[name].push(np.column_stack((piece.load, piece.force)))
-        self._watch_contact(tick, values)
-        self._count(values, block.received)
+        self._count(values, block.received - (update.tick - tick - len(values)) / self.panel.rate)
 
     def _final(self, tick: int, values: Array) -> list[tuple[str, LiveEstimate]]:
         """Samples of the forces that have become final by readings of all channels, SI."""
-        if self._aligned is not None:
-            tick, values = self._aligned.push(tick, values, offsets=self._offsets)
         found = [live.push(values[:, columns], first=tick) for live, columns in self._streams]
         return [(name, piece) for forces in found for name, piece in forces.items() if piece.force.size]
 
@@ -334,9 +337,9 @@ class View:
         self.update.touching = finder.touching
 
     def _count(self, values: Array, received: float) -> None:
-        """Draw up numbers and spectra where they are due."""
+        """Draw up numbers and spectra where they are due; the last of the values came at a time [s]."""
         if not self._held:
-            self._held_since = received - (values.shape[0] - 1) / self.panel.rate  # received: the last sample
+            self._held_since = received - (values.shape[0] - 1) / self.panel.rate
         self._held.append(values)
         self._held_rows += values.shape[0]
         if self._held_rows < NUMBERS * self.panel.rate:

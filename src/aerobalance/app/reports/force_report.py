@@ -17,7 +17,7 @@ from aerobalance.estimation.result import ForceSummary
 from aerobalance.io.artefacts import provenance
 from aerobalance.recording.components import density_unit, dynamics_units, si_unit
 from aerobalance.recording.recording import Recording
-from aerobalance.uncertainty.budget import component_budget, spectrum
+from aerobalance.uncertainty.budget import beyond_its_extremes, component_budget, spectrum
 
 
 def write_force_report(
@@ -67,6 +67,7 @@ def write_force_report(
         "found": {**result, "warnings_beside": _beside(result)},
         "file": recording.name,
         "figures": figures,
+        "beyond": {name: beyond_its_extremes(result["components"][name], si_unit(name)) for name in summaries},
         "used": used(recording, dynamics, summaries, samples=max(one.samples * one.every for one in curves.values())),
         "units": {name: si_unit(name).replace("*", "·") for name in summaries},
         "origin": provenance(inputs),

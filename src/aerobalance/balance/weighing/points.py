@@ -10,6 +10,7 @@ import numpy as np
 
 from aerobalance.balance.loads import Loads
 from aerobalance.balance.matrix_errors import MatrixErrors, covariance_at_points
+from aerobalance.balance.steady_means import variance_of_mean
 from aerobalance.balance.zeros import in_own_components
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
@@ -141,7 +142,8 @@ def _stretches(recording: Recording, names: tuple[str, ...], *, with_roll: bool)
     for stretch in _plateaus(pitch, roll):
         known = [load[stretch][np.isfinite(load[stretch])] for load in loads]
         if min(values.size for values in known) >= 2:
-            means, deviations = zip(*(_mean(values) for values in known), strict=True)
+            means = [float(values.mean()) for values in known]
+            deviations = [float(np.sqrt(variance_of_mean(values[:, None])[0])) for values in known]
             rows.append([float(np.nanmean(pitch[stretch])), float(np.nanmean(roll[stretch])), *means, *deviations])
     if not rows:
         raise FitError(
@@ -188,16 +190,3 @@ def _plateaus(pitch: Array, roll: Array) -> list[slice]:
 def _known(values: Array) -> tuple[Array, Array]:
     index = np.flatnonzero(np.isfinite(values))
     return index.astype(np.float64), values[index]
-
-
-BATCHES: Final = 20
-"""Parts of a stretch whose means tell the uncertainty of the mean of the whole."""
-
-
-def _mean(values: Array) -> tuple[float, float]:
-    """Mean and its standard uncertainty, by the method of batch means."""
-    if values.size < 2 * BATCHES:
-        return float(values.mean()), float(values.std(ddof=1) / np.sqrt(values.size))
-    length = values.size // BATCHES
-    means = values[: length * BATCHES].reshape(BATCHES, length).mean(axis=1)
-    return float(values.mean()), float(means.std(ddof=1) / np.sqrt(BATCHES))

@@ -17,6 +17,7 @@ from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import driving_channel, other_end
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.sensors import corrected
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +50,7 @@ SETTINGS: Final = DwellSettings()
 class Dwell:
     """One frequency held for a while; complex amplitudes X stand for Re(X exp(i w t)), t from the recording's time 0.
 
-    Delays and ac coupling that the channels state are undone in the amplitudes.
+    Filters, cross-axis sensitivities, delays and ac coupling that the channels state are undone in the amplitudes.
 
     Attributes
     ----------
@@ -142,6 +143,7 @@ def find_dwells(recording: Recording, *, component: str = "AF") -> tuple[Dwell, 
     FitError
         The record holds no frequency long enough.
     """
+    recording = corrected(recording)
     ground = driving_channel("ground", component, recording)
     live = other_end(ground)
     channels = [recording.channel(name) for name in (component, ground, *([live] if live in recording else []))]
@@ -177,7 +179,7 @@ def harmonic_check(
     dynamics
         Mass, stiffness and damping to calculate with.
     """
-    full = _driven(recording, dynamics)
+    full = _driven(corrected(recording), dynamics)
     checks = []
     for dwell in dwells:
         calculated = float(dynamics.amplitude(dwell.frequency, abs(dwell.ground)))
