@@ -13,10 +13,12 @@ from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks import misfit, model_check, resonance
 from aerobalance.estimation.checks.local_modes import SETTINGS, Averaged, missing_mode, own_resonance, smeared
-from aerobalance.estimation.checks.misfit import Misfit, _if_changed, misfit_of
+from aerobalance.estimation.checks.misfit import Misfit, _if_changed, misfit_of, without_steps
 from aerobalance.estimation.checks.model_error import error_under
 from aerobalance.estimation.checks.near_resonance import near_resonance
 from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.steps import Step
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning
@@ -25,6 +27,7 @@ from aerobalance.simulation import CableCut, Sensor
 from faults.cases import all_cases, missing_modes
 from faults.trials import trial, worked_out
 from helpers.accuracy import SHARP, smooth_run
+from helpers.cable_cut import T128
 from seeds import new_seed, trials
 
 RATE = 1600.0
@@ -435,3 +438,15 @@ def test_a_step_in_a_broad_load_tells_a_resonance_that_is_near(factor: float) ->
     error = np.sqrt(np.mean((force.only.values - record.force) ** 2))
     u = np.sqrt(np.mean(force.only.uncertainty**2))
     assert 0.7 < error / u < 1.3  # the error of wrong dynamics is known, but for how far that is known
+
+
+@pytest.mark.parametrize("count", [1, 25])
+def test_steps_soon_after_the_begin_are_not_taken_for_its_free_oscillation(count, rng):
+    """Nineteen samples tell the one from the other, badly; what is left is the noise of 2 N and no more."""
+    rate, noise = 1600.0, 2.0
+    steps = [Step(0.0119 + 0.1 * place, 0.0, 400.0 * (-1) ** place) for place in range(count)]
+    time = np.arange(4000) / rate
+    load = sum(step.height * T128.step_response(time - step.instant) for step in steps)
+    left = without_steps(Observation(load + rng.normal(0, noise, time.size), 1 / rate, T128), steps)
+    # the root of a mean square of n scatters by 1 / sqrt(2 n)
+    assert np.sqrt(np.mean(left**2)) == pytest.approx(noise, rel=5 / np.sqrt(2 * time.size))

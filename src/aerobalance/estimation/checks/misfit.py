@@ -336,9 +336,17 @@ def without_steps(reading: Observation, steps: Sequence[Step]) -> Array:
     # by what is near the natural frequencies alone: of a load elsewhere least squares would make a ringing
     every = np.column_stack([motions, columns, values])
     near = np.concatenate([_near(every, mode, reading.interval) for mode in reading.dynamics.modes])
+    left = _less(values, columns)
     if len(near) >= every.shape[1]:  # else a record of a few periods, in which nothing has decayed
         sizes, *_ = np.linalg.lstsq(near[:, :-1], near[:, -1], rcond=None)
-        values = values - motions @ sizes[: motions.shape[1]]
+        ringing = _less(values - motions @ sizes[: motions.shape[1]], columns)
+        # what a step near the begin excites looks like it, and is told from it badly
+        left = min(left, ringing, key=lambda one: float(one @ one))
+    return left
+
+
+def _less(values: Array, columns: Array) -> Array:
+    """Values less what columns explain of them best, shape (n,)."""
     sizes, *_ = np.linalg.lstsq(columns, values, rcond=None)
     return np.asarray(values - columns @ sizes)
 
