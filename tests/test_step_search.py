@@ -10,7 +10,7 @@ from aerobalance.estimation.prior import Observation, fit_prior, generalised_lea
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.step_fit import gains_of_ramps
 from aerobalance.estimation.step_scan import Scan
-from aerobalance.estimation.step_search import find_steps
+from aerobalance.estimation.step_search import StepSearch, find_steps
 from aerobalance.estimation.steps import Step, columns_of, response_to
 from helpers.accuracy import RIG
 from helpers.cable_cut import T128
@@ -104,6 +104,20 @@ def test_every_edge_of_a_square_wave_is_found(noise, rng):
     # 38 normal deviations: five is passed once in 40,000 runs, the mean square by five standard deviations of its own
     assert np.max(np.abs(scores)) < 5
     assert np.mean(scores**2) < 1 + 5 * np.sqrt(2 / scores.size)
+
+
+@pytest.mark.parametrize("true", [[(0.61187, 400.0, 0.0)], [(0.6110, 200.0, 0.0), (0.6122, 200.0, 0.0)]], ids=len)
+def test_two_steps_close_to_each_other_are_one_where_they_bring_no_more(true, rng):
+    """Half a step before its instant and half after it leave some newtons; two true ones 1.9 samples apart stay."""
+    reading = reading_of([*true, (1.2003, -400.0, 0.0)], rng)
+    split = [Step(0.6110, 0.0, 200.0), Step(0.6122, 0.0, 200.0), Step(1.2003, 0.0, -400.0)]
+    search = StepSearch(reading)
+    steps, _ = search._joined(split, fit_prior(reading, columns=columns_of(split, reading)))
+    assert len(steps) == len(true) + 1
+    if len(true) == 1:
+        found = steps[0]
+        assert abs(found.instant - true[0][0]) < 5 * found.instant_uncertainty
+        assert abs(found.height - true[0][1]) < 5 * found.height_uncertainty
 
 
 def test_sizes_of_the_scan_are_those_of_least_squares(rng):

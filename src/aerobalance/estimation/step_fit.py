@@ -22,6 +22,10 @@ STILL: Final = (1e-3, 1e-2)
 """Move in sampling intervals after which an instant stands still at least and at most: a tenth of its uncertainty."""
 
 
+CLOSE: Final = 3.0
+"""Distance in sampling intervals below which two steps may be one that was located wrongly."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class _Part:
     """A part of a record about some of its steps.
@@ -137,6 +141,23 @@ def refine_step(
         instant_uncertainty=float(np.sqrt(covariance[-1, -1])) / max(abs(height), 1e-300),
         height_uncertainty=float(np.sqrt(covariance[-2, -2])),
     )
+
+
+def as_one(reading: Observation, filter_: KalmanFilter, steps: Sequence[Step], place: int) -> list[Step] | None:
+    """Return the steps with one for that of a place and the one before it; None where they are not close and alike.
+
+    Of many steps that were located together one may have been taken for two with a part of its height each.
+    """
+    one, other = steps[place - 1 : place + 1]
+    apart, height = other.instant - one.instant - one.duration, one.height + other.height
+    if one.height * other.height <= 0 or apart > CLOSE * reading.interval:
+        return None
+    middle = (one.height * (one.instant + one.duration / 2) + other.height * other.instant) / height
+    evidence = max(one.evidence, other.evidence)
+    joined = replace(one, instant=middle, duration=0.0, height=height, evidence=evidence)
+    found = [*steps[: place - 1], joined, *steps[place + 1 :]]
+    found[place - 1] = refine_step(reading, filter_, found, place - 1, ramps=False)
+    return found
 
 
 def _fit_ramp(

@@ -24,7 +24,7 @@ from aerobalance.estimation.prior import (
 from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
-from aerobalance.estimation.step_fit import fit_together, gain_of_another_model, gains_of_ramps, refine_step
+from aerobalance.estimation.step_fit import as_one, fit_together, gain_of_another_model, gains_of_ramps, refine_step
 from aerobalance.estimation.step_scan import Scan
 from aerobalance.estimation.steps import SETTINGS, Step, columns_of, response_to, ringing_time
 from aerobalance.recording.progress import PROGRESS
@@ -131,9 +131,10 @@ class StepSearch:
             if len(sound) < len(steps):
                 self.end, steps = RINGS, sound
                 learned = fit_prior(reading, columns=columns_of(sound, reading))
+        steps, learned = self._joined(sorted(steps, key=lambda step: step.instant), learned)
         if len(steps) >= self.most and self._scan(learned, steps).promise >= self.threshold:
             self.end = self.end or MORE
-        return sorted(steps, key=lambda step: step.instant), learned
+        return steps, learned
 
     @property
     def said(self) -> str:
@@ -403,6 +404,22 @@ class StepSearch:
             best = int(np.argmax(likelihoods))
             found.append((likelihoods[best], priors[best]))
         return found
+
+    def _joined(self, steps: list[Step], learned: SpectralPrior) -> Found:
+        """Return steps and prior with one step for two close to each other, where both bring no more than that."""
+        reading, place = self.reading, 1
+        while place < len(steps):
+            trial = as_one(reading, self.filter(learned), steps, place)
+            place += 1
+            if trial is None:
+                continue
+            relearned = fit_prior(reading, columns=columns_of(trial, reading), before=learned)
+            trial = fit_together(reading, self.filter(relearned), trial)
+            (both, _), (alone, better) = self._most_likely_priors((learned, relearned), steps, trial)
+            if 2 * (both - alone) < self.threshold:
+                steps, learned = self._with_ramps(better, trial)
+                place -= 1
+        return steps, learned
 
     def _is_faint(self, learned: SpectralPrior, *, beside: float = 0.0) -> bool:
         """Return whether the force of a prior has a smaller rms in the observations than noise, or than a size [N].
