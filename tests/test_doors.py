@@ -28,6 +28,7 @@ from faults.trials import worked_out
 from helpers.cable_cut import T128
 from helpers.coupled_pair import NOISE as PAIR_NOISE
 from helpers.coupled_pair import pair, recording_of, shaken
+from seeds import trials
 
 CASES = {case.name: case for case in all_cases()}
 RATE = 1600.0
@@ -75,11 +76,13 @@ def test_times_in_another_unit_than_they_say_are_refused(factor, unit):
 
 
 def test_of_coupled_components_one_mode_that_rings_tells_the_unit_of_the_times(rng):
-    _, loads, pitch = shaken(rng, pair())
-    run = recording_of(loads + PAIR_NOISE * rng.normal(size=loads.shape), pitch=pitch)
-    slow = replace(run, rate=run.rate / 1000)
-    with pytest.raises(FitError, match=r'That is 1/1000 of a natural frequency .* put time_unit = "ms"'):
-        estimate_force(slow, pair())
+    # of thirty periods, in which the largest ordinate may be the second or third from the natural frequency
+    for _ in range(trials(5, 20)):
+        _, loads, pitch = shaken(rng, pair())
+        run = recording_of(loads + PAIR_NOISE * rng.normal(size=loads.shape), pitch=pitch)
+        slow = replace(run, rate=run.rate / 1000)
+        with pytest.raises(FitError, match=r'That is 1/1000 of a natural frequency .* put time_unit = "ms"'):
+            estimate_force(slow, pair())
 
 
 @pytest.mark.parametrize("period", [None, 45.0])
