@@ -99,15 +99,18 @@ def test_a_fault_of_one_channel_is_named_and_counted(channel, fault, size, rng):
 @pytest.mark.soak(first=0)
 def test_a_gain_of_nine_tenths_is_found(seed):
     """It is told to some percent, so that the limit of four standard uncertainties is passed more often than not."""
-    named, count = 0, trials(3, 12)
+    named, chance, count = 0, 0, trials(3, 12)
     for one in range(count):
         record = shaken(np.random.default_rng([seed, one]), load=0.003).with_gain("ground_acceleration_z", 0.9).used
         force = record.force
         doubts = about_ground(force)
-        assert all("ground_acceleration_z" in doubt.text for doubt in doubts)
-        named += bool(doubts)
+        # beside it 30 numbers of other channels are looked at with each record, and one passes four u in 500 records
+        others = [doubt for doubt in doubts if "ground_acceleration_z" not in doubt.text]
+        chance += bool(others)
+        named += len(doubts) > len(others)
         assert max(record.ratios(force).values()) < 1.5 or not doubts
     assert named > count / 2
+    assert chance <= 1
 
 
 @pytest.mark.soak(first=0)
@@ -153,7 +156,7 @@ def test_sizes_scatter_as_they_are_said_to(seed):
             exact = white.solved(white.columns(asked.with_drift(shapes).felt)).explained
             # it decides whether the exact one is worked out, at `worth_a_look`: a twentieth of that
             assert found[-1] == pytest.approx(exact, rel=0.05, abs=0.05 * SETTINGS.worth_a_look)
-        assert ground_faults(asked) == {}
+        assert not any(ground_faults(asked).values())
     # chi-squares of one record are independent of each other but for what the channels have in common
     assert np.mean(found) < 3 + 5 * np.sqrt(6 / len(found))
     assert np.mean(found) > 1

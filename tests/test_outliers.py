@@ -140,8 +140,10 @@ def test_a_clipped_accelerometer_is_named_and_costs_little(share, rng):
     kinds = {doubt.kind for doubt in force.doubts}
     assert kinds & {"clipping", "wild samples"}
     assert not kinds & {"ground gain", "ground delay"}
-    # the force is told by the load what the accelerometer missed: a gap of a few samples each
-    assert found["error"] < 1.5 * best["error"]
+    # the force is told by the load what the accelerometer missed: gaps of a few samples each, up to 7 % of the record.
+    # The error of one record scatters by a fifth; u is that of all
+    assert found["error"] < 1.5 * found["u"]
+    assert found["error"] < 2 * best["u"]
     assert found["cover"] > 0.85
 
 

@@ -189,7 +189,7 @@ def _usable(channel: Channel, name: str) -> NDArray[np.bool_]:
 
 def _check(ring: Ring, name: str, component: str) -> None:
     """Refuse a ring that carries no dynamics."""
-    periods = ring_up_to(ring) * ring.frequency
+    periods = ring_up_to(ring) * max(ring.frequency, 0.0)  # what is no oscillation is fitted with none
     if periods < SETTINGS.fewest_periods:
         raise FitError(
             f"{name}: {component} rings for {periods:.1f} periods above the noise; at least "
