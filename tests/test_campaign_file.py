@@ -178,6 +178,15 @@ def test_a_set_up_for_a_column_that_no_run_has_is_refused(tmp_path):
         runs_of(tmp_path, runs={"rows": [{"file": "a.h5", "config": "flaps"}]}, setups=setups)
 
 
+def test_repeats_by_a_column_that_no_run_has_are_refused(tmp_path):
+    touched(tmp_path, "a.h5")
+    rows = [{"file": "a.h5", "mach": 0.3}]
+    with pytest.raises(ReadError, match=r"repeats\.by: names Mach, which no run has as a column; there are: mach"):
+        runs_of(tmp_path, runs={"rows": rows}, repeats={"by": ["alpha", "Mach"]})
+    # angles may be those of the recording, and a result is a column of each run
+    assert runs_of(tmp_path, runs={"rows": rows}, repeats={"by": ["alpha", "beta", "mach", "pressure_Pa"]})
+
+
 def test_zeros_are_the_last_before_a_run_those_around_it_or_those_that_agree(tmp_path):
     touched(tmp_path, *(f"run_{n}.h5" for n in (2, 5, 9)), *(f"zero_{n}.h5" for n in (1, 4, 8)))
     runs = {"files": "run_*.h5", "pattern": r"run_(?P<run>\d+)"}

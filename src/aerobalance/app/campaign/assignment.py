@@ -34,6 +34,9 @@ OF_RESULTS: Final = re.compile(
 )
 """Names of columns that a result has by itself."""
 
+ANGLES: Final = ("alpha", "beta")
+"""Columns that are those of the recording where no table has them."""
+
 
 @dataclass(frozen=True, slots=True)
 class Run:
@@ -120,7 +123,7 @@ def assigned(definition: Definition, folder: str) -> tuple[Run, ...]:
         No file is a run, the table cannot be read, or a name that is given once for all is missing.
     """
     marked = _in_order(_runs(definition, folder))
-    _check_where(definition.setups, marked, folder)
+    _check_columns(definition, marked, folder)
     zeros = _in_order(_files(definition.zeros.files, definition.zeros.pattern, folder)) if definition.zeros else []
     tares = _in_order(_files(definition.tares.files, definition.tares.pattern, folder)) if definition.tares else []
     names = _names([one.file for one in marked])
@@ -130,14 +133,17 @@ def assigned(definition: Definition, folder: str) -> tuple[Run, ...]:
     )
 
 
-def _check_where(setups: Sequence[SetUp], marked: Sequence[Marked], folder: str) -> None:
-    """Make sure that set-ups are chosen by columns that there are."""
+def _check_columns(definition: Definition, marked: Sequence[Marked], folder: str) -> None:
+    """Make sure that set-ups are chosen, and repeats compared, by columns that there are."""
     there = dict.fromkeys(key for one in marked for key in one.columns)
-    for number, one in enumerate(setups):
-        for key in one.where:
-            if key not in there:
-                what = f"names {key}, which no run has as a column; there are: {', '.join(there) or 'none'}"
-                raise ReadError(folder, f"setups[{number}].where", what)
+    named = [(f"setups[{number}].where", key) for number, one in enumerate(definition.setups) for key in one.where]
+    named += [
+        ("repeats.by", key) for key in definition.repeats.by if key not in ANGLES and not OF_RESULTS.fullmatch(key)
+    ]
+    for where, key in named:
+        if key not in there:
+            what = f"names {key}, which no run has as a column; there are: {', '.join(there) or 'none'}"
+            raise ReadError(folder, where, what)
 
 
 def _with_all(
