@@ -136,7 +136,7 @@ def _single(record: ComponentRecord, part: ComponentForce) -> ResonanceChange:
     )
 
     def likelihood(change: Array) -> float:
-        return evidence.of(moved(change))
+        return evidence.nearly(moved(change), dynamics)
 
     return _told(still, dynamics.damping_ratio, likelihood)
 
