@@ -67,13 +67,13 @@ def test_numbers_carry_their_uncertainty(here, capsys):
 
 
 def test_monte_carlo_is_printed_and_repeats_itself(here, capsys):
-    code, out, _ = call(capsys, "--monte-carlo 20 --verbose")
+    code, out, _ = call(capsys, "--monte-carlo 10 --verbose")
     assert code == 0
-    assert "Monte Carlo of AF, 20 draws, seed 1" in out
+    assert "Monte Carlo of AF, 10 draws, seed 1" in out
     assert "uncertainty budget of AF [N]" in out
-    accounts = [json.loads(call(capsys, f"--monte-carlo 20 --seed {seed} --json")[1]) for seed in (4, 4, 5)]
+    accounts = [json.loads(call(capsys, f"--monte-carlo 10 --seed {seed} --json")[1]) for seed in (4, 4, 5)]
     one, same, other = (account["components"]["AF"]["monte_carlo"] for account in accounts)
-    assert (one["draws"], one["seed"]) == (20, 4)
+    assert (one["draws"], one["seed"]) == (10, 4)
     assert one == same
     assert one["scalars"]["mean"] != other["scalars"]["mean"]
     low, high = one["scalars"]["mean"]["interval_95"]
@@ -98,7 +98,7 @@ def test_page_stands_alone(option, here, capsys):
     ("line", "says"),
     [
         ("--monte-carlo 3", "10"),
-        ("--monte-carlo 20 --seed -1", "0"),
+        ("--monte-carlo 10 --seed -1", "0"),
         ("--report run.csv", "is an input"),
         ("--report nowhere/page.html", "there is no folder nowhere"),
         ("--u-gravity -1", "0"),
