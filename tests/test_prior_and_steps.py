@@ -24,7 +24,7 @@ from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.kalman import FORCE, KalmanFilter
 from aerobalance.estimation.statespace.shaping_filter import EDGE, ShapingFilter
 from aerobalance.estimation.step_search import StepSearch, find_steps
-from aerobalance.estimation.steps import Step, response_to, shape_of, side_variance
+from aerobalance.estimation.steps import Step, response_to, shape_of, side_variance, without_model_errors
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
@@ -341,7 +341,7 @@ def test_response_of_an_overdamped_mode_is_followed_to_its_end():
 def test_corrections_of_the_model_go_after_each_step():
     larger = [Step(1.0, 0.0, 100.0), Step(5.0, 0.0, -100.0)]
     small = [Step(place + late, 0.0, 1.0) for place in (1.0, 5.0) for late in (0.1, 0.2, 0.3)]
-    assert step_search._without_model_errors([*larger, *small], reach=1.0) == larger
+    assert without_model_errors([*larger, *small], reach=1.0) == larger
 
 
 def test_shape_of_a_step():

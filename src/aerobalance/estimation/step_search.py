@@ -26,7 +26,7 @@ from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.estimation.step_fit import as_one, fit_together, gain_of_another_model, gains_of_ramps, refine_step
 from aerobalance.estimation.step_scan import Scan
-from aerobalance.estimation.steps import SETTINGS, Step, columns_of, response_to, ringing_time
+from aerobalance.estimation.steps import SETTINGS, Step, columns_of, response_to, ringing_time, without_model_errors
 from aerobalance.recording.progress import PROGRESS
 
 TURNS: Final = 5
@@ -127,7 +127,7 @@ class StepSearch:
             if found is None or self.end:
                 break
             steps, learned = found
-            sound = _without_model_errors(steps, reach=self.reach)
+            sound = without_model_errors(steps, reach=self.reach)
             if len(sound) < len(steps):
                 self.end, steps = RINGS, sound
                 learned = fit_prior(reading, columns=columns_of(sound, reading))
@@ -442,20 +442,3 @@ def _neighbours(steps: Sequence[Step], number: int) -> list[int]:
 def _without_force(learned: SpectralPrior) -> SpectralPrior:
     """Return a prior with the same noise and a force that does not fluctuate."""
     return replace(learned, spectrum=Spectrum(np.zeros(0), np.zeros(0)), shaping=ShapingFilter.silent())
-
-
-def _without_model_errors(steps: list[Step], *, reach: float) -> list[Step]:
-    """Return the steps without those that only correct a wrong model in the response to a larger one, if many do.
-
-    Otherwise the search would go on for as long as the response lasts.
-    """
-    left = sorted(steps, key=lambda step: step.instant)
-    for step in sorted(left, key=lambda step: -abs(step.height)):
-        echoes = [
-            other
-            for other in left
-            if 0 < other.instant - step.instant < reach and abs(other.height) < SETTINGS.echo * abs(step.height)
-        ]
-        if len(echoes) > SETTINGS.echoes:
-            left = [other for other in left if other not in echoes]
-    return left

@@ -207,3 +207,20 @@ def ringing_time(reading: Observation) -> float:
     """Return the time after which the ringing counts as over, `decay_times` of the slowest mode [s]."""
     slowest = min(-max(pole.real for pole in mode.poles) for mode in reading.dynamics.modes)
     return SETTINGS.decay_times / max(slowest, 1e-300)
+
+
+def without_model_errors(steps: list[Step], *, reach: float) -> list[Step]:
+    """Return the steps without those that only correct a wrong model in the response to a larger one, if many do.
+
+    Otherwise the search would go on for as long as the response lasts.
+    """
+    left = sorted(steps, key=lambda step: step.instant)
+    for step in sorted(left, key=lambda step: -abs(step.height)):
+        echoes = [
+            other
+            for other in left
+            if 0 < other.instant - step.instant < reach and abs(other.height) < SETTINGS.echo * abs(step.height)
+        ]
+        if len(echoes) > SETTINGS.echoes:
+            left = [other for other in left if other not in echoes]
+    return left
