@@ -52,7 +52,8 @@ class Loads:
         Variance of every sample from zeros, tares, gains of the bridges and what temperature does to them
         [N^2, N^2*m^2], shape (n, c) or, the same for all, (1, c).
     of_tare
-        Mean over the samples of what of it is from tares, shape (c,): runs with other tares do not share it.
+        Mean over the samples of what of it is from tares, shape (c,) [N^2, N^2*m^2]; runs with other tares do not
+        share it.
     native
         Loads in the balance's own components, tares not removed, shape (n, c) [N, N*m].
     beyond

@@ -98,7 +98,8 @@ class CoupledRecord(BalanceRecord):
         """
         recording = corrected(recording)
         channels = _channels(recording, dynamics)
-        check_clock(recording, "the slowest mode", channels=dynamics.components, modes=dynamics.modes)
+        modes = [(mode.natural_frequency, mode.damping_ratio) for mode in dynamics.modes]
+        check_clock(recording, "the slowest mode", channels=dynamics.components, modes=modes)
         platform = PlatformMotion.of(recording, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
         interval = 1 / recording.rate
         lost = [one.at_limit | platform.unread_at(one.delay, interval=interval) for one in channels]

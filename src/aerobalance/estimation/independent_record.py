@@ -249,7 +249,7 @@ class IndependentRecord(BalanceRecord):
         known = IndependentDynamics({name: part for name, part in dynamics.items() if name in recording})
         component_channels(recording, known)
         for name, part in known.items():
-            check_clock(recording, name, channels=(name,), modes=part.modes[:1])
+            check_clock(recording, name, channels=(name,), modes=[(part.natural_frequency, part.damping_ratio)])
         settings = {"gravity": gravity, "gravity_uncertainty": gravity_uncertainty}
         return cls(recording, known, {name: GroundMotion.of(recording, name, **settings) for name in known})
 

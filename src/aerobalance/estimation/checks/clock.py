@@ -7,7 +7,6 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.dynamics.modal import Mode
 from aerobalance.estimation.spectra.periodogram import INSIDE, LONGEST, density_of
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
@@ -40,7 +39,9 @@ PEAK: Final = 30.0
 """Power of a peak over the median of what is beside it: noise reaches it in an ordinate with 0.5^30 = 1e-9."""
 
 
-def check_clock(recording: Recording, component: str, *, channels: Sequence[str], modes: Sequence[Mode]) -> None:
+def check_clock(
+    recording: Recording, component: str, *, channels: Sequence[str], modes: Sequence[tuple[float, float]]
+) -> None:
     """Refuse a record shorter than one period of the balance, or whose times are in another unit than they say.
 
     Parameters
@@ -52,7 +53,7 @@ def check_clock(recording: Recording, component: str, *, channels: Sequence[str]
     channels
         Channels of the balance loads.
     modes
-        Modes of the dynamics.
+        Natural frequency [Hz] and damping ratio [1] of each mode of the dynamics.
 
     Raises
     ------
@@ -60,7 +61,7 @@ def check_clock(recording: Recording, component: str, *, channels: Sequence[str]
         It is, by a wrong clock or wrong dynamics; or the natural frequencies are above half the rate and the loads
         ring at a thousandth or a millionth of one of them.
     """
-    whole, frequency = recording.whole_duration, min(mode.natural_frequency for mode in modes)
+    whole, frequency = recording.whole_duration, min(frequency for frequency, _ in modes)
     if whole * frequency < 1:
         raise FitError(
             f"{recording.name}: the record takes {whole:.3g} s ({recording.rate:.6g} samples a second), less than one "
@@ -71,9 +72,8 @@ def check_clock(recording: Recording, component: str, *, channels: Sequence[str]
         return
     for unit, factor in OTHER_UNITS.items():
         for name in channels:
-            for mode in modes:
-                own = mode.natural_frequency
-                if _rings_at(recording, name, own / factor, width=WIDTH * mode.damping_ratio):
+            for own, ratio in modes:
+                if _rings_at(recording, name, own / factor, width=WIDTH * ratio):
                     raise FitError(
                         f"{recording.name}: {name} rings at {own / factor:.4g} Hz by a clock of {recording.rate:.6g} "
                         f"samples a second. That is 1/{factor:.0f} of a natural frequency of the dynamics, "
