@@ -141,9 +141,9 @@ def test_a_clipped_accelerometer_is_named_and_costs_little(share, rng):
     assert kinds & {"clipping", "wild samples"}
     assert not kinds & {"ground gain", "ground delay"}
     # the force is told by the load what the accelerometer missed: gaps of a few samples each, up to 7 % of the record.
-    # The error of one record scatters by a fifth; u is that of all
+    # Of a sound record it scatters by a fifth about u, by which a lucky one is not to count against the clipped one
     assert found["error"] < 1.5 * found["u"]
-    assert found["error"] < 2 * best["u"]
+    assert found["error"] < 1.5 * max(best["error"], best["u"])
     assert found["cover"] > 0.85
 
 

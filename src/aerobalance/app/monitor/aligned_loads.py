@@ -43,9 +43,8 @@ class AlignedLoads:
             self.forget()
             self._first = tick
         self._end = tick + len(values)
-        given = np.column_stack(
-            (values, values[:, self._gauges.columns])
-        )  # interpolated, none would rest on its limit
+        # the outputs themselves stay as they are read: interpolated, none would rest on its limit
+        given = np.column_stack((values, values[:, self._gauges.columns]))
         made = self._aligner.push(given)
         first, self._first = self._first, self._first + len(made)
         rows, outputs = np.split(made, [values.shape[1]], axis=1)
