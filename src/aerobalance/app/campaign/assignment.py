@@ -123,7 +123,7 @@ def assigned(definition: Definition, folder: str) -> tuple[Run, ...]:
         No file is a run, the table cannot be read, or a name that is given once for all is missing.
     """
     marked = _in_order(_runs(definition, folder))
-    _check_columns(definition, marked, folder)
+    _check_columns(definition, marked)
     zeros = _in_order(_files(definition.zeros.files, definition.zeros.pattern, folder)) if definition.zeros else []
     tares = _in_order(_files(definition.tares.files, definition.tares.pattern, folder)) if definition.tares else []
     names = _names([one.file for one in marked])
@@ -133,7 +133,7 @@ def assigned(definition: Definition, folder: str) -> tuple[Run, ...]:
     )
 
 
-def _check_columns(definition: Definition, marked: Sequence[Marked], folder: str) -> None:
+def _check_columns(definition: Definition, marked: Sequence[Marked]) -> None:
     """Make sure that set-ups are chosen, and repeats compared, by columns that there are."""
     there = dict.fromkeys(key for one in marked for key in one.columns)
     named = [(f"setups[{number}].where", key) for number, one in enumerate(definition.setups) for key in one.where]
@@ -143,7 +143,7 @@ def _check_columns(definition: Definition, marked: Sequence[Marked], folder: str
     for where, key in named:
         if key not in there:
             what = f"names {key}, which no run has as a column; there are: {', '.join(there) or 'none'}"
-            raise ReadError(folder, where, what)
+            raise ReadError("test", where, what)
 
 
 def _with_all(
