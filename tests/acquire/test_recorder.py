@@ -159,6 +159,21 @@ def test_space_that_the_system_does_not_tell_is_no_full_disk(tmp_path, monkeypat
     assert len(stored(tmp_path / "run.h5")) == 256
 
 
+def test_a_record_begins_where_the_system_does_not_tell_the_space(tmp_path, monkeypatch) -> None:
+    def unanswered(_):
+        raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    with Session(setup_of(), tmp_path) as session:
+        monkeypatch.setattr(recorder_module.shutil, "disk_usage", unanswered)
+        recorder = session.record(tmp_path / "run.h5")
+        monkeypatch.undo()
+        recorder.ready()
+        session.start()
+        time.sleep(0.1)
+        assert recorder.stop("enough").reason == "enough"
+    assert len(stored(tmp_path / "run.h5")) > 0
+
+
 SETUP = (
     '[source]\nkind = "simulated"\nrig = "{rig}"\nseed = 7\nblock = 0.01\n[record]\nblock = {block}\nkeep_free = 0.0\n'
 )

@@ -290,19 +290,25 @@ class RecordWriter:
             self.held.release()
 
     def _see_free(self) -> int | None:
-        """Note and return the space left on the disk [bytes]; None where the system does not tell it.
-
-        That is no full disk: a disk that is full refuses the block itself.
-        """
-        try:
-            free = shutil.disk_usage(Path(self.progress.path).parent).free
-        except OSError:
-            return None
-        self._set(free=free)
+        """Note and return the space left on the disk [bytes]; None where the system does not tell it."""
+        free = free_space(Path(self.progress.path).parent)
+        if free is not None:
+            self._set(free=free)
         return free
 
     def _set(self, **changes: Any) -> None:
         self.progress = replace(self.progress, **changes)
+
+
+def free_space(folder: Path) -> int | None:
+    """Return the space left on the disk of a folder [bytes]; None where the system does not tell it.
+
+    That is no full disk: a disk that is full refuses what is written itself.
+    """
+    try:
+        return shutil.disk_usage(folder).free
+    except OSError:
+        return None
 
 
 def run_recorder(job: RecordJob, address: Address, control: Connection[Any, Any]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
-import shutil
 import time
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -14,7 +13,7 @@ from typing import Any, Final
 from aerobalance.acquisition.feed import Address, Feed, Order, SourceInfo, SourceMessage, run_source
 from aerobalance.acquisition.planned import plan_of
 from aerobalance.acquisition.processes import pipe, start_worker
-from aerobalance.acquisition.recorder import Progress, RecorderCommand, RecordJob, run_recorder
+from aerobalance.acquisition.recorder import Progress, RecorderCommand, RecordJob, free_space, run_recorder
 from aerobalance.acquisition.scratch import make_folder, remove
 from aerobalance.acquisition.setup import Setup, setup_text, stored_channels
 from aerobalance.io.hdf5_closing import close_broken_off
@@ -217,8 +216,8 @@ class Session:
         # without an end, a second is the least that is worth beginning
         samples = (plan.length or max(2 * plan.rows, round(plan.rate))) + plan.before
         wanted = samples * len(channels) * 8 + keep_free
-        free = shutil.disk_usage(path.parent).free
-        if wanted > free:
+        free = free_space(path.parent)
+        if free is not None and wanted > free:
             raise ValueError(
                 f"the record needs {wanted / 1e6:.0f} MB ({keep_free / 1e6:.0f} MB kept free included), but "
                 f"{path.parent} has {free / 1e6:.0f} MB left; record for less time, or elsewhere"
