@@ -204,16 +204,22 @@ def _worked_out(work: ForceWork, out: Path, append: Append, *, pictured: bool) -
     record = work.record
     found = _Found(work.working.samples, work.working.every)
     for given in work.parts():
-        there = given.samples_of_record
-        if there is not None:
-            clock, own, values, uncertainty = there
-            for first in range(0, own.stop - own.start, AT_ONCE):
-                some = slice(first, min(first + AT_ONCE, own.stop - own.start))
-                columns = [{name: one[some] for name, one in column.items()} for column in (values, uncertainty)]
-                append(force_columns(out, clock, slice(own.start + some.start, own.start + some.stop), *columns))
+        _append_samples(given, out, append)
         found.add(given, record.start, pictured=pictured)
-        del given, there  # the next part needs the memory
+        del given  # the next part needs the memory
     return found
+
+
+def _append_samples(given: ForcePart, out: Path, append: Append) -> None:
+    """Write the forces of a part, some samples at a time."""
+    there = given.samples_of_record
+    if there is None:
+        return
+    clock, own, values, uncertainty = there
+    for first in range(0, own.stop - own.start, AT_ONCE):
+        some = slice(first, min(first + AT_ONCE, own.stop - own.start))
+        columns = [{name: one[some] for name, one in column.items()} for column in (values, uncertainty)]
+        append(force_columns(out, clock, slice(own.start + some.start, own.start + some.stop), *columns))
 
 
 def _checked(work: ForceWork, found: _Found, check: Check | None) -> dict[str, MonteCarlo]:

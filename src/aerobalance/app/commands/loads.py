@@ -192,16 +192,11 @@ class LoadsSummary:
             np.nansum(calibration**2, axis=0) * (values.shape[0] / max(calibration.shape[0], 1)),
             count * every * felt.noise**2,
         ]
-        if every > 1:  # the largest lie between the samples
-            values = np.column_stack([between_samples(column, every) for column in values.T])
-            known = np.isfinite(values)
-        low, high = np.where(known, values, np.inf), np.where(known, values, -np.inf)
-        self._ends = np.array(
-            [
-                np.minimum(self._ends[0], low.min(axis=0, initial=np.inf)),
-                np.maximum(self._ends[1], high.max(axis=0, initial=-np.inf)),
-            ]
-        )
+        for place, column in enumerate(values.T):  # one at a time: of a long part each is large
+            # the largest lie between the samples of a slower clock
+            ends = between_samples(column, every) if every > 1 else column
+            self._ends[0, place] = min(self._ends[0, place], np.nanmin(ends, initial=np.inf))
+            self._ends[1, place] = max(self._ends[1, place], np.nanmax(ends, initial=-np.inf))
         self._missing += int(np.count_nonzero(~known.all(axis=1)))
         self._beyond.update(beyond_range(felt.balance, felt.native[own]))
         self._contraction = max(self._contraction, felt.contraction)
