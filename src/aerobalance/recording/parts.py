@@ -12,6 +12,7 @@ from typing import Any, Final, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 
 NO_TIME: Final = 1e-3
 """Sampling intervals from zero up to which a time is zero but for rounding."""
@@ -151,8 +152,8 @@ def mean_over(samples: int, read: Callable[[int, int], NDArray[np.float64]], *, 
 def parts_of(samples: int, *, length: int, margin: int) -> tuple[Part, ...]:
     """Return the parts of a record, each of `length` samples; a record up to that length is one part.
 
-    Neighbours overlap by twice the margin and meet in the middle of that. The last part begins earlier, so that it has
-    the same length as the others.
+    Neighbours overlap by twice the margin and meet in the middle of that. The last part has what is left, but at least
+    half the length of the others, for which it begins earlier.
 
     Parameters
     ----------
@@ -174,12 +175,14 @@ def parts_of(samples: int, *, length: int, margin: int) -> tuple[Part, ...]:
     if own < 2 * margin:
         raise ValueError(f"a margin of {margin} samples is too much for parts of {length}")
     count = 1 + -(-(samples - length) // own)
+    left = samples - (count - 1) * own
+    last = min(length, next_fast_len(max(left, -(-length // 2)), real=True))  # Fourier transforms of it are fast
     joints = [0, *(place * own + margin for place in range(1, count)), samples]
     return tuple(
         Part(
             place + 1,
             count,
-            min(place * own, samples - length),
+            place * own if place + 1 < count else samples - last,
             min(place * own + length, samples),
             joints[place],
             joints[place + 1],
