@@ -141,6 +141,7 @@ def some_effects(rng: np.random.Generator) -> tuple[TemperatureEffect, ...]:
 
 
 @pytest.mark.parametrize("way", ["iterative", "non-iterative"])
+@pytest.mark.soak(first=1)
 def test_effects_of_temperature_come_back(way: str, rng) -> None:
     zeros, gains = [], []
     for _ in range(15):

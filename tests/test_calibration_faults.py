@@ -169,6 +169,7 @@ def test_drifting_bridge_is_refused(make: Maker, index: int, rng) -> None:
 
 @both
 @component
+@pytest.mark.soak(first=4)
 def test_slowly_drifting_zero_is_doubted(make: Maker, index: int, rng) -> None:
     schedule = make(rng)
     outputs = schedule.outputs.copy()

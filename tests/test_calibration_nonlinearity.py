@@ -76,6 +76,7 @@ def mean_error(other: BalanceMatrix, matrix: BalanceMatrix, outputs: Array, load
 
 
 @pytest.mark.parametrize("way", ["iterative", "non-iterative"])
+@pytest.mark.soak(first=1)
 def test_errors_of_matrices_drawn(way: str, rng) -> None:
     matrix = calibrated(rng, model="27", way=way)
     loads = shaking(rng)
@@ -95,6 +96,7 @@ def test_errors_of_matrices_drawn(way: str, rng) -> None:
 
 
 @pytest.mark.parametrize("way", ["iterative", "non-iterative"])
+@pytest.mark.soak(first=1)
 def test_means_of_errors_of_matrices_drawn(way: str, rng) -> None:
     matrix = calibrated(rng, model="27", way=way)
     outputs = matrix.outputs(shaking(rng))
