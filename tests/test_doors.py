@@ -88,7 +88,7 @@ def test_of_coupled_components_one_mode_that_rings_tells_the_unit_of_the_times(r
 @pytest.mark.parametrize("period", [None, 45.0])
 def test_a_slow_record_of_steady_loads_is_no_wrong_unit(rng, period):
     # twice a second FREQUENCY / 1000 could be seen and nothing rings there; steps every 45 s have a harmonic near
-    time = np.arange(2000) / 2.0
+    time = np.arange(1000) / 2.0
     load = 300.0 + rng.normal(0, 0.2, time.size)
     load += 50.0 * (np.sin(2e-3 * np.pi * time) if period is None else np.sign(np.sin(2 * np.pi * time / period)))
     if period is not None:
@@ -193,6 +193,7 @@ def test_a_reading_that_is_exact_may_be_still():
 
 
 @pytest.mark.parametrize("reading", [0.0, 30.0])
+@pytest.mark.soak(first=1)
 def test_one_dead_channel_of_coupled_components_is_named_for_all(reading, rng):
     coupled = pair()
     _, loads, _ = shaken(rng, coupled, pitching=False)

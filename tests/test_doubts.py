@@ -138,7 +138,7 @@ def test_doubts_of_parts_are_told_once_with_the_largest():
         "stiffness +20 %, broad, 10 s",
     ],
 )
-@pytest.mark.soak(first=2)
+@pytest.mark.soak(first=1)
 def test_the_natural_frequency_of_the_record_is_named(name):
     """Steps ring for 40 cycles, of which the frequency is known to a fraction of the width of the resonance, 1 %."""
     force, found = tried(CASES[name], 0)
@@ -153,7 +153,7 @@ def test_the_natural_frequency_of_the_record_is_named(name):
     assert 0.5 < effect / found["error"] < 2
 
 
-@pytest.mark.soak(first=1)
+@pytest.mark.soak(first=0)
 @pytest.mark.parametrize("name", ["mode at 2.3 f0, 3 %, 0-200 Hz, 2.5 s", "mode at 2.3 f0, -3 %, 0-200 Hz, 10 s"])
 def test_a_missing_mode_is_named_and_counted(name):
     force, found = tried(CASES[name], 1)
@@ -167,15 +167,15 @@ def test_a_missing_mode_is_named_and_counted(name):
     ("name", "kind", "told"),
     [
         ("accelerometer 0.5 ms early, 0-20 Hz", "ground delay", -5e-4),
-        ("accelerometer gain 10 %, 0-60 Hz", "ground gain", 1 / 1.1),
         ("accelerometer sign, 0-20 Hz", "ground gain", -1.0),
         ("accelerometer clock 1000 ppm, 0-60 Hz", "ground clock", 2.5e-3),
+        ("accelerometer gain 10 %, 0-60 Hz", "ground gain", 1 / 1.1),
         ("accelerometer 1 ms late, 0-60 Hz", "ground delay", 1e-3),  # and in the test of the command
         ("accelerometer 0.1 ms late, step", "ground delay", 1e-4),
         ("accelerometer in g, step", "ground gain", 9.80665),
     ],
 )
-@pytest.mark.soak(first=4)
+@pytest.mark.soak(first=3)
 def test_a_fault_of_the_accelerometer_is_named_with_its_size(name, kind, told):
     force, found = tried(CASES[name], 0)
     doubt = max(force.doubts, key=lambda one: one.effect or 0.0)
@@ -193,10 +193,10 @@ def test_a_fault_of_the_accelerometer_is_named_with_its_size(name, kind, told):
 
 
 @pytest.mark.parametrize(
-    "name", ["0-100 Hz, 200 N, shaken", "step, shaken", "soft 30 Hz, 100 N, pitching", "two steps", "constant"]
+    "name", ["0-100 Hz, 200 N, shaken", "step, shaken", "soft 30 Hz, 100 N, pitching", "constant", "two steps"]
 )
 @pytest.mark.parametrize("seed", [0, 1])
-@pytest.mark.soak(first=5)
+@pytest.mark.soak(first=4)
 def test_a_sound_record_is_fit_for_use(name, seed):
     force, _ = tried(CASES[name], seed)
     assert force.doubts == ()
@@ -247,7 +247,7 @@ def test_the_command_says_it_in_fields_and_at_the_top(tmp_path: Path, monkeypatc
 @pytest.mark.parametrize(
     "name", ["0.1 N", "0.2 N", "sine of 0.2 N at 20 Hz", "0.4 N", "sine of 0.4 N at 20 Hz", "5 s, 0.2 N"]
 )
-@pytest.mark.soak(first=2)
+@pytest.mark.soak(first=1)
 def test_a_force_that_the_noise_hides_is_in_the_uncertainty(name):
     """Over some records the mean square error is no more than said, however faint the force, and not far less."""
     (case,) = [one for one in CASES.values() if one.group == "faint" and one.name.startswith(name)]
@@ -280,8 +280,8 @@ def test_hum_that_is_taken_for_force_is_told_and_counted(load):
     assert "--hum" in str(doubt) or "hum" in doubt.advice
 
 
-@pytest.mark.parametrize("drift", ["0", "0.3"])
-@pytest.mark.soak(first=2)
+@pytest.mark.parametrize("drift", ["0.3", "0"])
+@pytest.mark.soak(first=1)
 def test_a_record_of_noise_tells_hum_that_the_load_hides(drift):
     """The line is in the uncertainty, of a size that the other record tells: the load has 170 times its power."""
     case = CASES[f"hum of 5 N at 50 Hz that drifts by {drift} Hz, 0-100 Hz, with a record of noise"]
@@ -307,7 +307,7 @@ def test_noise_behind_a_filter_is_no_other_resonance(load):
     """Noise of 2 N up to 500 Hz alone: below the resonance a faint force had taken up a half of it."""
     case = CASES[f"noise to 500 Hz, {load}"]
     covers = []
-    for seed in range(trials(4, 20)):
+    for seed in range(trials(2, 20)):
         force, found = tried(case, seed)
         assert force.doubts == ()
         covers.append(found["cover"])

@@ -268,6 +268,7 @@ def test_channels_that_are_read_later_share_their_noise_as_late(rng) -> None:
         assert np.sqrt(np.mean(error**2)) < 1.25 * most, f"{name}"
 
 
+@pytest.mark.soak(first=0)
 def test_sharp_bands_alike_have_nothing_to_share(rng) -> None:
     """Within the band every force is far above the noise, and beyond it there is none to be made better."""
     balance = random_balance(rng)

@@ -32,7 +32,7 @@ def colored(force: Force) -> list[float | None]:
 
 def test_it_is_taken_to_go_on_below_the_load_and_that_is_told():
     case = CASES["1/f from 20 Hz, 0-20 Hz"]
-    found = [tried(case, case.record(seed)) for seed in range(trials(4, 20))]
+    found = [tried(case, case.record(seed)) for seed in range(trials(2, 20))]
     told = [(force, one, effect) for force, one in found for effect in colored(force)]
     assert len(told) >= 0.75 * len(found)  # it gains 8 to 31 in log-likelihood, and chance takes off some
     for force, one, effect in told:
@@ -51,7 +51,7 @@ def test_it_is_taken_to_go_on_below_the_load_and_that_is_told():
 
 def test_it_is_no_force_where_there_is_none():
     case = CASES["1/f from 20 Hz, none"]
-    for seed in range(trials(3, 20)):
+    for seed in range(trials(1, 20)):
         force, one = tried(case, case.record(seed))
         assert len(colored(force)) == 1
         assert np.ptp(force.only.values) == 0
