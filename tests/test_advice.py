@@ -162,6 +162,7 @@ def test_a_line_of_hum_is_no_damping_ratio():
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.soak(first=1)
 def test_no_ringing_is_said_to_be_more_than_the_load_has(seed):
     """A shaken ground end whose load is far more than what is felt: a mode is looked for in what is not the load."""
     generator = np.random.default_rng(seed)

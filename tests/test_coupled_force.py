@@ -287,6 +287,7 @@ def test_a_long_gap_of_one_component_is_bridged_in_both(rng):
 
 
 @pytest.mark.parametrize("which", ["loads", "one sensor"])
+@pytest.mark.soak(first=1)
 def test_loads_read_while_the_moving_ground_was_not_count_as_missing(which, rng):
     """Of 12 samples the ground's motion was not recorded: the forces of them are as uncertain as they are wrong."""
     late, count, fine = 12, 2000, 8

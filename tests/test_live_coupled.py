@@ -325,6 +325,7 @@ def changed_at(
 
 
 @pytest.mark.parametrize("kind", [0, 1], ids=["inertia", "damping"])
+@pytest.mark.soak(first=1)
 def test_uncertain_elements_are_in_the_uncertainty(kind, rng):
     balance, plain = started(rng)
     readings = felt(rng, balance.without_noise(), 4000)

@@ -1,7 +1,7 @@
 """Records that are worked on in parts: the same answer as in one piece, however they are read."""
 
 from dataclasses import replace
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 import pytest
@@ -121,7 +121,7 @@ def test_parts_know_the_mean_temperature_of_the_record():
 
 
 def test_parts_give_what_the_whole_gives(rng):
-    record = run(rng, count=22_000, steps=(7168.3, 12_500.2, 13_311.6))  # two of them within a sample of a joint
+    record = run(rng, count=22_000, steps=(7168.3, 13_311.6))  # each within a sample of a joint
     whole = estimate_force(record, T128).only
     found = divided(record).force().only
     assert [step.instant for step in found.steps] == pytest.approx(
@@ -185,8 +185,8 @@ def test_direct_inverses_of_parts_are_that_of_the_whole(rng, settings, rounding)
 def test_steps_and_numbers_do_not_depend_on_where_the_record_ends(rng):
     record = run(rng, count=18_000, steps=(7168.3,))
     shorter = record.part(0, 16_000)
-    long, short = (list(divided(one).parts()) for one in (record, shorter))
-    for one, other in zip(long[:2], short[:2], strict=True):
+    long, short = (list(islice(divided(one).parts(), 2)) for one in (record, shorter))
+    for one, other in zip(long, short, strict=True):
         np.testing.assert_array_equal(one.values["AF"], other.values["AF"])
         np.testing.assert_array_equal(one.uncertainty["AF"], other.uncertainty["AF"])
         assert one.steps == other.steps

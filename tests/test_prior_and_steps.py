@@ -186,7 +186,7 @@ def test_what_was_learned_does_not_hang_on_missing_readings(rng):
 
 def test_smoother_with_a_learned_spectrum_is_the_gaussian_process(rng):
     """The obvious solution: a dense Gaussian process with the true covariance, from the true spectrum's integrals."""
-    edge, level, noise, n = 120.0, 500.0, 2.0, 2400
+    edge, level, noise, n = 120.0, 500.0, 2.0, 1600
     reading = smooth_reading(rng, seconds=n / RATE, edge=edge, rms=level, noise=noise)
     lag = np.arange(n) / RATE
     frequency = (np.arange(24_000) + 0.5) * edge / 24_000
@@ -229,6 +229,7 @@ def test_step_is_found_between_samples(noise, rng):
 
 
 @pytest.mark.parametrize(("noise", "allowed"), [(2.0, 0.1), (10.0, 0.3)])
+@pytest.mark.soak(first=1)
 def test_plateaus_beside_a_step_are_flat(noise, allowed, rng):
     # The mean of 3200 (1600) samples is known to noise / sqrt(n) = 0.035 (0.05) N for 2 N, five times that for 10 N:
     # 0.1 and 0.3 N are the sought bounds, three standard deviations off on the longer plateau for 2 N.

@@ -156,6 +156,7 @@ ROLL_OFFS = {
 
 
 @pytest.mark.parametrize("name", ROLL_OFFS)
+@pytest.mark.soak(first=2)
 def test_no_roll_off_is_likelier_than_the_one_found(name, rng):
     """Simplex of Nelder and Mead, without slopes, from many beginnings."""
     periodogram = Periodogram.of(felt(rng, ROLL_OFFS[name], n=4000), T128, interval=1 / RATE)

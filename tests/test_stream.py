@@ -491,6 +491,7 @@ def test_nothing_is_said_to_move_by_too_few_readings(rng):
 
 
 @pytest.mark.parametrize("lead", [5_000, 20_000])
+@pytest.mark.soak(first=1)
 def test_readings_that_come_late_have_their_force_at_their_own_samples(lead, rng):
     """A cable that is plugged in after the start: longer before than the readings that are kept to learn from."""
     time = np.arange(3000) / RATE

@@ -76,12 +76,15 @@ def rms(values) -> float:
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")  # of the ramp, on either clock
 def test_the_force_is_that_of_the_own_clock(rng) -> None:
     apart, over, scores, noises = [], [], [], []
-    for _ in range(3):
+    for _ in range(8):
         truth, load = force_and_load(rng)
         record = recording(load)
         slow = work(record)
         assert slow.working.every > 4
-        found, whole = slow.force().only, on_own_clock(record).only
+        found = slow.force().only
+        if any("leaves open" in name for name in found.budget):
+            continue  # one part of some tens leaves noise of a color open that all readings together do not
+        whole = on_own_clock(record).only
         assert found.values.size == SAMPLES
         # away from the steps, whose sizes each finds within its uncertainty
         calm = np.ones(SAMPLES, dtype=bool)
@@ -93,8 +96,9 @@ def test_the_force_is_that_of_the_own_clock(rng) -> None:
         assert found.method.startswith(f"on a clock {slow.working.every} times as slow as the record's, ")
         noises.append(found.noise)
         assert found.bandwidth == pytest.approx(whole.bandwidth, rel=0.05)
-    # each has learned its prior from other readings: an error of a tenth of u beside u is half a percent of it; one
-    # part of some tens leaves noise of a color open that all readings together do not
+        if len(apart) == trials(1, 3):
+            break
+    # each has learned its prior from other readings: an error of a tenth of u beside u is half a percent of it
     assert np.median(apart) < 0.15
     assert np.median(over) == pytest.approx(1.0, abs=0.05)
     assert np.median(scores) == pytest.approx(1.0, abs=0.15)
@@ -172,7 +176,7 @@ def test_budget_and_spectrum_are_those_of_the_own_clock(rng) -> None:
 
 
 def test_coupled_components_with_their_weight(rng) -> None:
-    dynamics, count, rate = pair(), 120_000, 16_000.0
+    dynamics, count, rate = pair(), 80_000, 16_000.0
     force = 0.03 * SIZE * band(rng, 250, count=count, rate=rate, columns=2)
     pitch = np.full(count, 0.1)
     weight = dynamics.mass.weight(pitch)[:, [0, 1]]
