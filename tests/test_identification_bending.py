@@ -212,6 +212,7 @@ def test_a_bending_mode_is_found(rng):
     assert lacking == [pytest.approx(true.modes[place].natural_frequency, rel=1e-3)], forced.notes
 
 
+@pytest.mark.soak(first=0)
 def test_a_first_guess_that_leads_nowhere_is_replaced(monkeypatch, rng):
     made = recordings(truth(), rng)
     expected = quietly(made, modes=3)
@@ -280,6 +281,7 @@ def errors_over_u(found: CoupledDynamics, true: CoupledDynamics) -> float:
 
 
 @pytest.mark.parametrize("noise", [0.2, 0.3])
+@pytest.mark.soak(first=1)
 def test_releases_that_the_noise_hides_are_refused(noise, rng):
     """Releases of half of half the range: a level that is let go in the noise was taken for a mode of 3.5 Hz."""
     with pytest.raises(FitError, match="above the noise"):

@@ -409,7 +409,7 @@ def bent_release(generator: np.random.Generator, *, damping: float = 0.0, freque
         return [w * rate, -(here**2) / w * load - 2 * loss * here * rate]
 
     after = time[time > RELEASE]
-    rung = solve_ivp(slope, (RELEASE, time[-1]), [-HEIGHT, 0.0], t_eval=after, rtol=1e-9, atol=1e-7).y[0]
+    rung = solve_ivp(slope, (RELEASE, time[-1]), [-HEIGHT, 0.0], "DOP853", after, rtol=1e-9, atol=1e-7).y[0]
     load = np.concatenate([np.full(time.size - after.size, -HEIGHT), rung])
     return record(load + generator.normal(0, 2.0, load.size))
 

@@ -27,10 +27,11 @@ def shake(drive, generator, *, load=0.05, acceleration=0.05):
 @pytest.mark.parametrize("hold", [0.4, 0.9])
 @pytest.mark.soak(first=1)
 def test_dwells_are_found_and_fitted(hold: float, rng):
-    dwells = find_dwells(shake(SteppedSine(STEPS, settle=0.1, hold=hold), rng))
+    steps = STEPS[::2]
+    dwells = find_dwells(shake(SteppedSine(steps, settle=0.1, hold=hold), rng))
     frequency, load, ground, live = amplitudes(dwells)
-    assert len(dwells) == len(STEPS)
-    assert np.all(np.abs(frequency - STEPS) < 5 * np.array([d.u_frequency for d in dwells]))
+    assert len(dwells) == len(steps)
+    assert np.all(np.abs(frequency - steps) < 5 * np.array([d.u_frequency for d in dwells]))
     assert all(dwell.steady for dwell in dwells)
     # Newton for the chain (momentum): m1 x1'' + M x2'' is the 10 N drive.
     force = np.abs(2.07 * ground + TRUE.mass * live)

@@ -110,6 +110,7 @@ def test_rig_is_identified(drive: str, mass: float | None, rng):
 
 
 @pytest.mark.parametrize("drive", DRIVES)
+@pytest.mark.soak(first=1)
 def test_accelerometers_of_the_paper_leave_what_the_bound_says(drive: str, rng):
     simulation = shake(DRIVES[drive], rng, load=0.32, acceleration=5.0)
     with warnings.catch_warnings():
@@ -127,7 +128,7 @@ def test_accelerometers_of_the_paper_leave_what_the_bound_says(drive: str, rng):
 @pytest.mark.parametrize("noise", [(0.32, 5.0), (0.05, 0.05)])
 @pytest.mark.soak(first=1)
 def test_scatter_reaches_the_bound_and_is_stated(noise: tuple[float, float], rng):
-    draws = trials(20, 40)
+    draws = trials(10, 40)
     drive = Sweep(550.0, 850.0, 1.0)
     errors, uncertainties = np.empty((2, draws, 3))
     with warnings.catch_warnings():
@@ -223,6 +224,7 @@ def along(recording: Recording, component: str) -> Recording:
 
 
 @pytest.mark.parametrize("component", ["NF", "SF"])
+@pytest.mark.soak(first=1)
 def test_the_accelerometer_of_its_axis_drives_a_force(component: str, rng):
     """A table that shakes a little along as well: with that accelerometer the mass would be 20 times as large."""
     shaken = shake(DRIVES["random"], rng, live=True).recording
@@ -241,6 +243,7 @@ def test_the_accelerometer_of_its_axis_drives_a_force(component: str, rng):
 @pytest.mark.parametrize(
     ("component", "coupling"), [("AF", "kinematic"), ("AF", "dc"), ("NF", "dc"), ("SF", "kinematic")]
 )
+@pytest.mark.soak(first=2)
 def test_pitching_ground_end(component: str, coupling: str, rng):
     # A balance that pitches while it is shaken feels x1'' less gravity along it; a dc accelerometer reads just that.
     simulation = shake(DRIVES["random"], rng, delay=0.0)

@@ -201,6 +201,7 @@ def test_a_wrong_mass_is_noticed(rng):
 
 
 @pytest.mark.parametrize("mass", [None, (20.0, 0.01)])
+@pytest.mark.soak(first=1)
 def test_a_wrong_sign_of_the_ground_is_noticed(mass, rng):
     recording = shaken(rng)
     turned = {
