@@ -249,6 +249,7 @@ WAYS = (".7f", ".6e", ".3g", "+.4E", ".12g", ".0f", ".17g", ".25f")
 @pytest.mark.parametrize("ways", [WAYS[:6], WAYS], ids=["plain", "long"])
 @pytest.mark.parametrize(("separator", "decimal"), [(",", "."), (";", ","), ("\t", ".")])
 @pytest.mark.usefixtures("short_texts_are_long")
+@pytest.mark.soak(first=4)
 def test_numbers_of_a_long_text_are_right_to_the_last_digit(tmp_path, rng, ways, separator, decimal):
     numbers = rng.normal(size=(30_000, 3)) * 10.0 ** rng.integers(-9, 9, (30_000, 3))
     way = rng.integers(len(ways), size=numbers.shape)

@@ -18,7 +18,7 @@ def told(words: list[str]) -> list[str]:
 def test_damaged_files_are_refused_or_read_within_bounds(tmp_path, seed) -> None:
     for given in FILES:
         given.make(tmp_path / given.name)
-    count = trials(20, 1000)
+    count = trials(8, 1000)
     found = trial([tmp_path / name for name in CHOSEN], tmp_path / "damaged", count=count, seed=seed)
     assert found.faults == []
     assert found.read + found.refused == count * len(CHOSEN)
@@ -31,7 +31,7 @@ def test_damaged_wav_is_refused_or_read_within_bounds(tmp_path, seed) -> None:
     wav(tmp_path / "a.wav")
     toml = tmp_path / "map.toml"
     toml.write_text('[channels.AF]\ncolumn = "channel 1"\nunit = "N"\n')
-    count = trials(60, 1000)
+    count = trials(25, 1000)
     found = trial([tmp_path / "a.wav"], tmp_path / "damaged", count=count, seed=seed, channel_map=toml)
     assert found.faults == []
     assert found.read > count / 6

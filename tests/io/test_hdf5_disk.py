@@ -129,23 +129,31 @@ import os, sys, signal
 sys.path[:0] = {folders!r}
 from pathlib import Path
 from helpers.hdf5_files import make
-writer = make(Path({file!r}), [(0, {n})], finish=False)
+writers = [make(Path(file), [(0, n)], finish=False) for file, n in {files!r}.items()]
 os.kill(os.getpid(), signal.SIGKILL)
 """
 
 
 def killed(path, n=300):
     """A file whose writer was killed."""
-    code = KILLED.format(folders=[str(Path(__file__).parents[1])], file=str(path), n=n)
+    return killed_with({path: n})[0]
+
+
+def killed_with(sizes):
+    """Files of so many samples each, whose one writer was killed."""
+    files = {str(path): n for path, n in sizes.items()}
+    code = KILLED.format(folders=[str(Path(__file__).parents[1])], files=files)
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == -signal.SIGKILL
-    with pytest.raises(OSError, match="already open for write"):
-        h5py.File(path)
-    return path
+    for path in sizes:
+        with pytest.raises(OSError, match="already open for write"):
+            h5py.File(path)
+    return list(sizes)
 
 
 def test_after_a_kill_the_file_is_closed_and_other_programs_open_it(tmp_path) -> None:
-    for n in (64, 300, 3001):
-        file = killed(tmp_path / f"{n}.h5", n)
+    sizes = (64, 300, 3001)
+    files = killed_with({tmp_path / f"{n}.h5": n for n in sizes})
+    for n, file in zip(sizes, files, strict=True):
         with pytest.warns(DataQualityWarning, match="Other HDF5 programs refuse it until it is closed"):
             read(file)
         marked = file.read_bytes()

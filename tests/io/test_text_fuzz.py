@@ -86,7 +86,7 @@ def test_mutated_exports(tmp_path, export):
     rng = np.random.default_rng(list(given_file.name.encode()))
     path = tmp_path / given_file.name
     read_ones = 0
-    for _ in range(trials(13, 25)):
+    for _ in range(trials(9, 25)):
         content = bytearray(given_file.content)
         for _ in range(rng.integers(1, 4)):
             at, size = int(rng.integers(min(len(content), 3000))), int(rng.integers(0, 40))

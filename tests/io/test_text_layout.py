@@ -220,6 +220,7 @@ def test_tables_of_points_may_hold_remarks(tmp_path):
     ],
 )
 @pytest.mark.parametrize("decimal", [".", ","])
+@pytest.mark.soak(first=13)
 def test_stamps_become_seconds_since_the_first(tmp_path, form, match, decimal):
     def stamp(t):
         whole = 43199.99 + t  # over noon
