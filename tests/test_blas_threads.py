@@ -114,7 +114,7 @@ def at_work(name, work, *given, **more):
 
 rng = np.random.default_rng(1)
 rig = CableCut(sensors={"AF": Sensor(noise=10.0)})
-record = rig.run(2.0, rng).recording
+record = rig.run(1.5, rng).recording
 known = at_work("identify", ab.identify, record, mass=rig.dynamics.mass).dynamics
 force = at_work("estimate_force", ab.estimate_force, record, known)
 at_work("monte_carlo", ab.monte_carlo, force, draws=10)

@@ -270,7 +270,8 @@ def test_weighed_mass_goes_into_the_decay_with_its_uncertainty(here, capsys):
     assert entry["natural_frequency"]["u"] < 1e-3 * frequency
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("N", 1.0), ("lbf", 4.4482216152605), ("kN", 1000.0)])
+@pytest.mark.parametrize(("unit", "factor"), [("lbf", 4.4482216152605), ("kN", 1000.0), ("N", 1.0)])
+@pytest.mark.soak(first=2)
 def test_force_keeps_time_name_and_unit(unit, factor, here, capsys):
     time = np.arange(COUNT) / RATE
     load = 50 * np.sin(2 * np.pi * 20 * time)  # without the release of the others, which is looked into at length

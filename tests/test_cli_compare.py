@@ -1,7 +1,9 @@
 """The commands compare and demo --tables from outside: table, page, errors and exit codes."""
 
+import contextlib
 import json
 import re
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +14,7 @@ from aerobalance.app.commands.compare import compare, table_of, words_for_table
 from aerobalance.app.demos import tables
 from aerobalance.app.reports.compare_report import _limits, _running_rms, comparison_figure, components_figure
 from aerobalance.dynamics.modal import Mode
-from aerobalance.io import write_recording
+from aerobalance.io import read, write_recording
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.recording import Recording
@@ -20,14 +22,29 @@ from aerobalance.simulation import CableCut, Sensor, band_noise
 from aerobalance.simulation.published import CABLE_CUT, TABLE_1, TABLE_2
 from aerobalance.validation.baselines import BASELINES, THIS, TUNED, BaselineEstimate
 from aerobalance.validation.scores import Truth
+from seeds import new_seed
 
 T128 = CABLE_CUT.dynamics
 
 
-@pytest.fixture
-def here(tmp_path, monkeypatch, rng):
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
     """A folder with a cable cut, its truth, a second cut, a smooth load and hand-made dynamics."""
+    folder, rng = tmp_path_factory.mktemp("compare"), np.random.default_rng(new_seed())
+    with contextlib.chdir(folder):
+        write_files(rng)
+    return folder
+
+
+@pytest.fixture
+def here(made, tmp_path, monkeypatch):
+    """A copy of that folder."""
+    shutil.copytree(made, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def write_files(rng):
     save("cut", CableCut(release=0.5003).run(2.0, rng))
     save("lab", CableCut(release=0.3002, cable_force=700.0).run(2.0, rng))
     load = band_noise(rng, low=0, high=60, rms=200.0, period=4.0)
@@ -36,7 +53,6 @@ def here(tmp_path, monkeypatch, rng):
     Path("dynamics.json").write_text(
         json.dumps({"components": {"AF": {key: {"value": value} for key, value in values.items()}}})
     )
-    return tmp_path
 
 
 def save(name, simulation):
@@ -209,9 +225,10 @@ def test_refused_with_a_reason(here, capsys, rng, *, line, code, says):
 
 
 def test_half_range_of_a_truth_that_is_zero(here, capsys):
-    truth = {"AF": Channel("AF", np.zeros(3200), "N")}
-    write_recording(Path("zero.csv"), Recording.from_columns(np.arange(3200) / 1600, truth))
-    code, out, _ = call(capsys, "compare smooth.csv --dynamics dynamics.json --truth zero.csv --json")
+    truth = {"AF": Channel("AF", np.zeros(800), "N")}
+    write_recording(Path("zero.csv"), Recording.from_columns(np.arange(800) / 1600, truth))
+    write_recording(Path("brief.csv"), read("smooth.csv").part(0, 800))
+    code, out, _ = call(capsys, "compare brief.csv --dynamics dynamics.json --truth zero.csv --json")
     account = json.loads(out)
     assert code == 0
     assert "give --half-range" in account["half_range"]["from"]

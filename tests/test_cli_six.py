@@ -32,6 +32,7 @@ def cut(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, CoupledBalance,
     return folder, balance, simulation
 
 
+@pytest.mark.soak(first=0)
 def test_force_takes_a_file_of_coupled_dynamics(
     cut: tuple[Path, CoupledBalance, SixSimulation], capsys: pytest.CaptureFixture[str]
 ) -> None:

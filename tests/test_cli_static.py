@@ -248,7 +248,8 @@ def test_loads_of_a_force_balance_in_its_own_form(calibrated, capsys, truth, rng
     assert "give wind-off recordings with --tare instead" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("at_zero", [4.0, 9.0])
+@pytest.mark.parametrize("at_zero", [9.0, 4.0])
+@pytest.mark.soak(first=1)
 def test_a_wrong_mass_is_wrong_in_a_zero_read_with_the_model_on(calibrated, capsys, truth, at_zero, rng):
     time = np.arange(1200) / 1000.0
     pitch, up = np.full((2, time.size), np.radians([[4.0], [at_zero]]))

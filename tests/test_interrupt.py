@@ -72,7 +72,7 @@ def test_interrupt_while_the_program_loads_or_works(here):
     assert (code, said) == (0, [])
     complete = (here / "out.csv").read_bytes()
     files = left(here)
-    codes, instants = [], trials(4, 20)
+    codes, instants = [], trials(3, 20)
     for place in np.linspace(0, total - 3, instants).round().astype(int):
         (here / "out.csv").write_text("old")
         code, said, _ = ended_at(here, words, place)

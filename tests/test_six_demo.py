@@ -22,12 +22,12 @@ from aerobalance.recording.errors import warn_quality
 def test_six_components_from_millivolts_to_forces(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(six_demo, "DURATION", 0.3)  # a third of the run takes a third of the time
-    monkeypatch.setattr(six_demo, "INSTANT", 0.18013)
-    monkeypatch.setattr(six_demo, "RELEASE", 0.5)
+    monkeypatch.setattr(six_demo, "DURATION", 0.2)  # a fifth of the run takes a fifth of the time
+    monkeypatch.setattr(six_demo, "INSTANT", 0.12013)
+    monkeypatch.setattr(six_demo, "RELEASE", 0.4)
 
     def doubted(*args: Any, **settings: Any) -> Force:
-        warn_quality("the coupling is neglected")  # a run of a third of the length may show nothing of it
+        warn_quality("the coupling is neglected")  # a run of a fifth of the length may show nothing of it
         return estimate_force(*args, **settings)
 
     monkeypatch.setattr(six_demo, "estimate_force", doubted)  # only the run that neglects the coupling calls it here
@@ -48,7 +48,7 @@ def test_six_components_from_millivolts_to_forces(
     truth, found = read(tmp_path / "truth.csv"), read(tmp_path / "force.csv")
     assert list(truth.channels) == list(COMPONENTS)
     inner = slice(round(0.05 * truth.samples), truth.samples - round(0.05 * truth.samples))  # as the page says
-    calm = np.abs(truth.time[inner] - 0.18013) > 0.001
+    calm = np.abs(truth.time[inner] - 0.12013) > 0.001
     for row in account["components"]:
         name, percent = row["component"], 100 / row["half_range"]
         error = percent * (found.channel(name).values - truth.channel(name).values)[inner]
