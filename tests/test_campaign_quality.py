@@ -7,6 +7,7 @@ import pytest
 
 from aerobalance.app.campaign.definition import Repeats
 from aerobalance.app.campaign.quality import quality_of
+from seeds import trials
 
 
 def rows(rng, *, angles=(0.0, 4.0, 8.0), polars=8, spread=1.0):
@@ -103,7 +104,7 @@ def test_the_error_of_a_tare_is_common_to_the_runs_that_it_was_taken_off_only(rn
 @pytest.mark.parametrize("shared", [0.0, 0.9, 1.0])
 def test_all_results_together_lie_within_their_limits_as_often_as_said(rng, shared):
     """Lift and drag of 24 runs at three angles, whose errors are partly the same."""
-    runs, count = 24, 400
+    runs, count = 24, trials(150, 400)
     row = {"status": "reduced", "verdict": "fit for use", "setup": 0, "balance_file": "", "dynamics_file": ""}
     row |= {"zero_from": None, "u_run_CL": 0.01, "u_zero_CL": 0.0, "u_run_CD": 0.02, "u_zero_CD": 0.0}
     inside = 0

@@ -91,6 +91,7 @@ def test_what_is_asked_for_and_not_there_is_named(rng):
 
 
 @pytest.mark.parametrize(("unit", "reading"), [("Pa", 1500.0), ("kPa", 1.5), ("mbar", 15.0)])
+@pytest.mark.soak(first=2)
 def test_a_pressure_that_was_recorded_is_taken_in_its_own_unit(rng, unit, reading):
     run = run_of(rng)
     values = np.full(run.samples, reading)
@@ -139,6 +140,7 @@ def test_an_angle_of_roll_is_sideslip_by_the_sine_of_pitch():
 
 
 @pytest.mark.parametrize(("method", "lift"), [("paper", -300.0), ("smoother", 300.0)])
+@pytest.mark.soak(first=1)
 def test_an_inclinometer_that_is_off_is_one_error_of_weight_and_axes(rng, method, lift):
     """By a pitch that is off by u, drag is off by (L - M g) u and lift by -D u: the weight counts with its sign."""
     samples, pitch, mass, drag, u, gain = 400, np.radians(10.0), 20.0, 30.0, np.radians(0.05), 0.01

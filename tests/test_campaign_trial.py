@@ -31,7 +31,7 @@ def judged(found: Campaign, test: WholeTest) -> None:
 
 def test_a_few_runs_and_a_zero_that_changed(tmp_path, rng):
     test = simulated_test(
-        tmp_path / "test", rng, angles=[0.0, 6.0], polars=3, broken=1, drifted=1, change_at=2, calibration=False
+        tmp_path / "test", rng, angles=[6.0], polars=4, broken=1, drifted=1, change_at=2, calibration=False
     )
     found = reduce_runs(test.file, tmp_path / "out", engine=Engine(workers=0))
     judged(found, test)

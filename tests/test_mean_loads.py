@@ -85,7 +85,7 @@ def test_a_component_alone_gives_what_it_makes_alone():
 def test_the_mean_of_a_run_is_as_uncertain_as_said(rng):
     # the steady load of runs under a random load, whose share in the mean of so short a record is chance
     dynamics, scores, us = spring(), [], []
-    count = trials(8, 16)
+    count = trials(5, 16)
     for _ in range(count):
         found = mean_loads(estimate_force(run_of(rng, mean=200.0), dynamics, hum="keep"))
         us.append(found.errors.uncertainty()[0])

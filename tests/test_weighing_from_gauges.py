@@ -61,7 +61,7 @@ def scores(rng, balances, *, model, components, rolls, known_noise=False):
 @pytest.mark.parametrize(("model", "known_noise"), [("96", False), ("quadratic", True)], ids=["right", "wrong"])
 @pytest.mark.soak(first=1)
 def test_the_error_of_a_mass_is_as_large_as_its_uncertainty(rng, components, rolls, model, known_noise):
-    balances = trials(3, 12)
+    balances = trials(2, 12)
     found = scores(rng, balances, model=model, components=components, rolls=rolls, known_noise=known_noise)
     square = np.mean(found**2)
     # chi-squared, 1e-4 on either side. What a fit of the wrong terms leaves is even in the loads and cancels between
