@@ -451,6 +451,7 @@ def test_a_slow_viewer_loses_no_peak(seed) -> None:
 
 
 @pytest.mark.parametrize("wild", [math.inf, 1e308, 1e160])
+@pytest.mark.soak(first=1)
 def test_samples_beyond_all_measure_count_as_missing(wild) -> None:
     source = source_of("six", seed=6)
     hello = SourceInfo(tuple(source.channels), source.rate, True, "a source", ())

@@ -55,6 +55,7 @@ def force_of(samples, *, delays=(0.0, 0.0), cuts=500):
 
 
 @pytest.mark.parametrize("late", [(0.0, 37e-6), (53e-6, 0.0), (120e-6, 20e-6)])
+@pytest.mark.soak(first=1)
 def test_delays_are_taken_out_of_the_force(late, seed) -> None:
     there = force_of(shaken(seed))
     load_late, ground_late = late
@@ -109,7 +110,7 @@ def test_gauge_outputs_read_one_after_the_other_are_brought_together(seed) -> No
     rate, late = 6000.0, 3
     balance = replace(calibrated(seed), natural_zero=None)
     generator = np.random.default_rng(seed)
-    swing = np.sin(2 * np.pi * 25.0 * np.arange(24_000) / rate)[:, None]
+    swing = np.sin(2 * np.pi * 25.0 * np.arange(15_000) / rate)[:, None]
     native = 0.3 * CAPACITIES * np.array([1.0, 1.0, 0, 0, 0, 0]) * swing
     outputs = balance.outputs(native) + 1e-5 * generator.normal(size=native.shape)
     delays = late * np.array([-1.0, 1.0, 0.0, 0.0, 0.0, 0.0]) / rate

@@ -146,6 +146,7 @@ def test_device_that_comes_back_at_another_rate_ends_the_record_and_says_so(tmp_
 
 @installed
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGABRT])
+@pytest.mark.soak(first=1)
 def test_library_that_crashes_is_started_again_and_the_gap_has_its_exact_length(how, tmp_path) -> None:
     port, file = free_port(), tmp_path / "run.h5"
     with Server(SERVER, port, 25_000) as server:

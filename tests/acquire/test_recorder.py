@@ -511,6 +511,7 @@ def wait_for_blocks(file, least=1):
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.soak(first=1)
 def test_signal_ends_the_command_with_a_whole_file(number, tmp_path) -> None:
     process = record_command(tmp_path)
     wait_for_blocks(tmp_path / "run.h5")
@@ -531,6 +532,7 @@ def gone(pids):
 
 
 @pytest.mark.parametrize("delay", [0.8, 1.4, 2.0])
+@pytest.mark.soak(first=1)
 def test_signal_while_the_command_starts_leaves_nothing_running(delay, tmp_path) -> None:
     process = record_command(tmp_path)
     time.sleep(delay)

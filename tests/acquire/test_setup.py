@@ -21,6 +21,7 @@ from aerobalance.acquisition.setup import (
 from aerobalance.acquisition.source import SourceChannel
 from aerobalance.acquisition.sources import open_source
 from aerobalance.recording.errors import FitError, ReadError
+from seeds import trials
 
 FULL = '''
 name = "wing A, run 12"
@@ -242,7 +243,7 @@ ANY_DATA = st.dictionaries(keys, trees, max_size=6)
 
 
 def test_any_data_is_a_set_up_or_a_clear_error() -> None:
-    tried(check_any_data, ANY_DATA, 100)
+    tried(check_any_data, ANY_DATA, trials(40, 100))
 
 
 def test_any_damage_to_a_set_up_is_a_clear_error_or_a_set_up() -> None:

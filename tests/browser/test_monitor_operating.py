@@ -120,8 +120,8 @@ def test_a_load_near_the_only_limit_is_shown_as_such(operator) -> None:
     assert operator.said == []
 
 
-@pytest.mark.parametrize("size", [(1440, 900), (390, 844), (820, 1000)])
-@pytest.mark.soak(first=2)
+@pytest.mark.parametrize("size", [(390, 844), (1440, 900), (820, 1000)])
+@pytest.mark.soak(first=1)
 def test_stop_record_and_alarm_are_always_in_sight(opened, size) -> None:
     browser, base, _ = opened
     page = Operator(browser, base, viewport={"width": size[0], "height": size[1]})
