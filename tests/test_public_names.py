@@ -167,10 +167,13 @@ def test_the_chain_of_a_test(rng, tmp_path):
         (mass, "mass "),
         (dynamics, " Hz (u = "),
         (points[0], " samples, "),
+        (matrix.schedule, " points in "),
+        (ab.LiveForce(dynamics, rate=10_000), " at 10000 Hz"),
     ):
         assert words in repr(result)
         assert len(repr(result)) < 2000  # for a person to read
         assert "array(" not in repr(result)
+        assert " object at " not in repr(result)
     simulation = gusts(balance, rng).run(0.3, rng)
     force = ab.estimate_force(simulation.recording, dynamics, balance=matrix, zero=zero, hum="keep")
     for name, (_, score, beside_u) in errors(force, simulation.applied, balance).items():

@@ -83,6 +83,18 @@ class Schedule:
     assumptions: tuple[str, ...] = ()
     left_out: tuple[str, ...] = ()
 
+    def __repr__(self) -> str:
+        what = f"{self.name}: {len(self.points)} points in {len(self.series_names)} series"
+        units = ("N*m" if moment else "N" for moment in self.moments)
+        loads = (
+            f"{name} to {capacity:.6g} {unit}"
+            for name, capacity, unit in zip(self.components, self.capacities, units, strict=True)
+        )
+        aside = int(np.count_nonzero(self.confirmation))
+        more = [f"{aside} for confirmation"] if aside else []
+        more += [f"{len(self.left_out)} left out"] if self.left_out else []
+        return "; ".join([what, *more, ", ".join(loads)])
+
     def __post_init__(self) -> None:
         n, c = self.outputs.shape if self.outputs.ndim == 2 else (0, 0)
         shapes = {

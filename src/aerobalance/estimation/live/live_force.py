@@ -139,6 +139,11 @@ class LiveForce:
         if self._noise is not None:
             self._smoothers(self._channels(self._noise), ahead=0)  # refuses what cannot be
 
+    def __repr__(self) -> str:
+        taken = f"{self._expected} readings taken" if self._expected else "no readings yet"
+        lag = f", {self.lag:.2g} s behind them" if self.lag else ""
+        return f"live force of {', '.join(self.components)} at {self.rate:.6g} Hz; {taken}{lag}"
+
     # ---- readings in, forces out
 
     @one_blas_thread()
