@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from aerobalance.io import load_channel_map
+from aerobalance.io import load_channel_map, template
 from aerobalance.io.schedule import read_schedule
 from aerobalance.recording.errors import ReadError
 
@@ -336,3 +336,18 @@ def test_a_workbook_that_unpacks_to_too_much_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("aerobalance.io.sheet_cells.MOST_BYTES", 1000)
     with pytest.raises(ReadError, match="unpacks to"):
         read_schedule(path)
+
+
+def test_a_map_that_is_proposed_for_a_schedule_keeps_its_series_and_points(tmp_path):
+    rows = [["Waage Süd"], ["Serie", "Punkt", "F1 [N]", "Mx [Nm]", "DMS 1 [mV/V]", "DMS 2 [mV/V]"]]
+    path = put(tmp_path, text([*rows, *cells(comma=True)], ";").encode("cp1252"))
+    proposed = template(path)
+    assert "A load schedule needs none" in proposed
+    # what a person does: the names of loads and outputs, and the signs before their lines
+    waiting = ["series", "point", "column_3", "column_4", "column_5", "column_6"]
+    for waits, name in zip(waiting, ("series", "point", "N1", "RM", "rN1", "rRM"), strict=True):
+        head, found, rest = proposed.partition(f"# [channels.{waits}]")
+        assert found, waits
+        proposed = f"{head}[channels.{name}]{rest.replace('# column', 'column', 1).replace('# unit', 'unit', 1)}"
+    put(tmp_path, proposed, "map.toml")
+    check(read_schedule(path, channel_map=load_channel_map(tmp_path / "map.toml")))

@@ -9,11 +9,15 @@ from typing import Final
 
 from aerobalance.io.channel_names import Proposal, proposals
 from aerobalance.io.columns import Heading
+from aerobalance.io.schedule_names import MARKS, mark_of
 from aerobalance.io.text_clock import is_time_name, is_time_unit
 from aerobalance.io.text_layout import TextLayout, separator_word
 from aerobalance.io.toml_file import quoted
 from aerobalance.recording.channel import QUANTITIES
 from aerobalance.recording.units import readable
+
+NO_CLOCK: Final = "# No clock found: give one of these, and remove the # before it. A load schedule needs none."
+"""What a map says where its file does not tell the time."""
 
 
 def map_text(file: Path, headings: Sequence[Heading], *, found: TextLayout | None = None) -> str:
@@ -37,14 +41,15 @@ def map_text(file: Path, headings: Sequence[Heading], *, found: TextLayout | Non
     clocked = any(heading.clocked for heading in headings)
     time = None if clocked else _time(headings)
     blocks = [_HEAD.format(names=", ".join(QUANTITIES), file=quoted(file.name)[1:-1])]
-    blocks += [_OWN_CLOCKS] if clocked else _clock(headings, time, found)
+    clock = [_OWN_CLOCKS] if clocked else _clock(headings, time, found)
+    blocks += clock
     blocks += [] if found is None else _layout(found)
     blocks.append(f"\n{_CHANNEL_KEYS}")
     labels = [heading.label for heading in headings]
     headings = [heading if labels.count(heading.label) == 1 else replace(heading, label="") for heading in headings]
     others = [heading for heading in headings if time is None or heading.number != time.number]
     for heading, proposal in zip(others, proposals(others), strict=True):
-        blocks.append(_block(heading, proposal))
+        blocks.append(_block(heading, proposal, of_schedule=NO_CLOCK in clock))
     return "\n".join(blocks)
 
 
@@ -77,7 +82,7 @@ def _clock(headings: Sequence[Heading], time: Heading | None, found: TextLayout 
     if stated is not None:
         lines.append(f"rate = {stated.rate!r}  # Hz; line {stated.line}: {_printable(stated.text)[:60]}")
         return lines
-    lines.append("# No clock found: give one of these, and remove the # before it.")
+    lines.append(NO_CLOCK)
     lines.append("# time =             # header text or number of the column of times")
     lines.append("# rate =             # samples per second [Hz]; only where nothing in the file says the time")
     return lines
@@ -111,8 +116,12 @@ def _printable(text: str) -> str:
     return "".join(sign if sign.isprintable() else " " for sign in text)
 
 
-def _block(heading: Heading, proposal: Proposal) -> str:
-    unit = heading.unit
+def _block(heading: Heading, proposal: Proposal, *, of_schedule: bool) -> str:
+    """Lines of one column; `of_schedule` where the file may be a load schedule, as it has no clock."""
+    unit, mark = heading.unit, mark_of(heading.name)
+    if of_schedule and mark in _WITHOUT_UNIT and not proposal.name:
+        table = f"# [channels.{mark}]  # of a load schedule"
+        return "\n".join(["", table, f"# column = {_key(heading)}"])
     if not heading.usable:
         name = _printable(quoted(heading.label))
         return f"\n# left out: column {heading.number} ({name}): {_printable(heading.note) or 'it holds text'}"
@@ -129,6 +138,9 @@ def _block(heading: Heading, proposal: Proposal) -> str:
         lines.append(f'{"# " if proposal.name else ""}unit = "?"  # unknown: the file does not say it')
     return "\n".join(["", *(line if proposal.name else f"# {line}" for line in lines)])
 
+
+_WITHOUT_UNIT: Final = frozenset(MARKS) - {"temperature", "excitation"}
+"""Columns of a load schedule that say what a point is: words or numbers."""
 
 _HEAD: Final = """\
 # Channel map for {file}, as far as the file says what it holds.

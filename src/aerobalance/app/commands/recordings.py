@@ -23,6 +23,7 @@ from aerobalance.io import (
 )
 from aerobalance.io.balance_file import is_matrix
 from aerobalance.io.kinds import CONVERTED
+from aerobalance.io.map_template import NO_CLOCK
 from aerobalance.io.recording_columns import as_it_went_in
 from aerobalance.io.safe_write import replacing
 from aerobalance.recording.channel import Channel, SensorSpec
@@ -257,7 +258,10 @@ def channel_map_for(path: Path, out: Path | None, *, header_line: int | None = N
             beside.write_text(text, encoding="utf-8")
     columns = list(column_names(path, header_line=header_line))
     open_ones = text.count("# unassigned")
-    rest = f"{open_ones} wait for a person to say what they are" if open_ones else "all with a proposal"
-    said = f"{path.name}: channel map of {len(columns)} columns, {rest}; then check with info --map\n"
+    waiting = "1 waits for a person to say what it is"
+    if open_ones != 1:
+        waiting = f"{open_ones} wait for a person to say what they are" if open_ones else "all with a proposal"
+    then = "info --map, or calibrate --map if it is a load schedule" if NO_CLOCK in text else "info --map"
+    said = f"{path.name}: channel map of {len(columns)} columns, {waiting}; then check with {then}\n"
     result: Result = {"file": path.name, "columns": columns, "map": text}
     return {**result, "summary": text} if out is None else {**result, "summary": said, "details": text}
