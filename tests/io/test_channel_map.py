@@ -320,7 +320,10 @@ def test_missing_or_binary_map(tmp_path):
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (("Pitch Moment (Nm)", "Moment"), [r"no column 'Moment'", "'Timestamp (s)', 'Pitch Moment (Nm)'"]),
+        (
+            ("Pitch Moment (Nm)", "Moment"),
+            [r"no column 'Moment'", "'Timestamp (s)', 'Pitch Moment (Nm)'", "`aerobalance map FILE` makes"],
+        ),
         (('"Pitch Moment (Nm)"', "7"), ["there is no column 7", "3 columns"]),
         (("channels.PM", "channels.AF"), ["column 2", "is a moment, but a force", "AF"]),
         (("Timestamp (s)", "Belt Velocity (m/s)"), ["column 3", "a time is expected"]),

@@ -181,7 +181,8 @@ class RawColumns:
             if found:
                 numbers = " and ".join(str(column.number) for column in found)
                 raise ReadError(self.path, where, f"columns {numbers} are both called {key!r}; give the number")
-        raise ReadError(self.path, where, f"there is no column {key!r}; the file has {self.labels()}")
+        own = "a file with other columns needs a channel map of its own, which `aerobalance map FILE` makes"
+        raise ReadError(self.path, where, f"there is no column {key!r}; the file has {self.labels()}; {own}")
 
 
 def time_label(path: Path, labels: Sequence[str], what: str) -> str:

@@ -305,7 +305,7 @@ def _no_header(path: Path, sheets: Sequence[Sheet], chosen: ChannelMap | None) -
         ", ".join(repr(channel.column) for channel in chosen.channels.values())
         if chosen
         else "pairs such as N1 [lbf] and rN1 [uV/V] (rNAME is the output of NAME's bridge), or a channel map "
-        f"({argument('channel_map')}) that says which column is what"
+        f"({argument('channel_map')}) that says which column is what, which `aerobalance map FILE` makes"
     )
     return ReadError(path, "header", f"{names}needed are {wanted}; line {widest.line} has {_shown(widest)}")
 
