@@ -351,3 +351,6 @@ def test_a_map_that_is_proposed_for_a_schedule_keeps_its_series_and_points(tmp_p
         proposed = f"{head}[channels.{name}]{rest.replace('# column', 'column', 1).replace('# unit', 'unit', 1)}"
     put(tmp_path, proposed, "map.toml")
     check(read_schedule(path, channel_map=load_channel_map(tmp_path / "map.toml")))
+    # its file, as `read` takes it
+    check(read_schedule(path, channel_map=tmp_path / "map.toml"))
+    check(read_schedule(str(path), channel_map=str(tmp_path / "map.toml")))

@@ -7,7 +7,7 @@ from pathlib import Path
 from aerobalance.balance.schedule import Schedule
 from aerobalance.io import balfit_file, schedule_table, vol_file
 from aerobalance.io.balfit_file import write_balfit_schedule
-from aerobalance.io.channel_map import ChannelMap
+from aerobalance.io.channel_map import ChannelMap, load_channel_map
 from aerobalance.io.load_columns import Capacities
 from aerobalance.io.sheet_cells import is_workbook
 from aerobalance.io.text_table import read_text
@@ -17,7 +17,7 @@ __all__ = ["Capacities", "read_schedule", "write_balfit_schedule"]
 
 
 def read_schedule(
-    path: Path | str, *, capacities: Capacities | None = None, channel_map: ChannelMap | None = None
+    path: Path | str, *, capacities: Capacities | None = None, channel_map: ChannelMap | Path | str | None = None
 ) -> Schedule:
     """Read the load schedule of a calibration: a ``.vol`` file, a BALFIT file, a text table or an .xlsx workbook.
 
@@ -31,7 +31,8 @@ def read_schedule(
         Largest allowed load by component, value and unit, such as ``{"N1": (100.0, "lbf")}``; goes before what the
         file says.
     channel_map
-        Which column of a table or workbook is what; None for a file whose header says it.
+        Which column of a table or workbook is what, or the channel map (TOML) that says it; None for a file whose
+        header says it.
 
     Returns
     -------
@@ -51,6 +52,8 @@ def read_schedule(
         The file is cut off, or what it says contradicts itself.
     """
     file = Path(path)
+    if isinstance(channel_map, str | Path):
+        channel_map = load_channel_map(Path(channel_map))
     if channel_map is not None or is_workbook(file):
         return schedule_table.read_table_schedule(file, capacities=capacities, channel_map=channel_map)
     text = read_text(file)
