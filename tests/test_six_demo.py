@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,14 @@ import numpy as np
 import pytest
 
 from aerobalance.app.cli import main
+from aerobalance.app.cli.program import with_files
 from aerobalance.app.demos import six_demo
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.force import estimate_force
 from aerobalance.io import read
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import warn_quality
+from helpers.pages import ROOT, commands, python
 
 
 @pytest.mark.slow
@@ -60,6 +63,38 @@ def test_six_components_from_millivolts_to_forces(
     page = (tmp_path / "six.html").read_text(encoding="utf-8")
     assert page.count("<svg") == 2
     assert "http" not in page
+    monkeypatch.chdir(tmp_path)
+    as_shown_on_the_pages(capsys)
+
+
+def as_shown_on_the_pages(capsys: pytest.CaptureFixture[str]) -> None:
+    """Run what the pages show in the folder of this demo; each way leads to the force that the demo wrote."""
+    force = read("force.csv")
+    made = [
+        line for line in commands((ROOT / "docs/six.md").read_text(encoding="utf-8"), "bash") if " demo " not in line
+    ]
+    assert [line.split()[1] for line in made] == ["calibrate", "weigh", "identify", "force"]
+    for line in made:
+        assert main(with_files(shlex.split(line)[1:])) == 0, (line, capsys.readouterr().err)
+    for name in COMPONENTS:
+        again = read("force.csv").channel(name).values
+        # what is written has the digits that matter
+        np.testing.assert_allclose(
+            again, force.channel(name).values, atol=0.01 * force.channel(f"u_{name}").values.min()
+        )
+    found: dict[str, Any] = {}
+    for block in python((ROOT / "docs/python.md").read_text(encoding="utf-8")):
+        exec(block, found)
+    for name in COMPONENTS:
+        u = force.channel(f"u_{name}").values
+        assert np.max(np.abs(found["force"][name].values - force.channel(name).values) / u) < 0.01, name
+    assert f"verdict: {found['force'].verdict}" in capsys.readouterr().out
+    lift = found["found"]["C_wind"]
+    assert lift.names[0] == "CL"
+    # level wind at alpha, pressure and area as the page has them
+    mean = {name: found["force"][name].values.mean() for name in ("NF", "AF")}
+    by_hand = (mean["NF"] * np.cos(0.07) - mean["AF"] * np.sin(0.07)) / (1500.0 * 0.35)
+    assert lift.values[0] == pytest.approx(by_hand, abs=4 * lift.errors.uncertainty()[0])
 
 
 @pytest.mark.parametrize(
