@@ -8,16 +8,22 @@ import signal
 import socket
 import subprocess
 import sys
+import tomllib
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import typer
 
+import aerobalance as ab
+from aerobalance.acquisition.setup import setup_from
+from aerobalance.app.campaign.definition import definition_from
 from aerobalance.app.cli import main
 from aerobalance.app.cli.program import app, with_files
 from aerobalance.io.dynamics_file import read_dynamics
+from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.simulation.published import CABLE_CUT
-from helpers.pages import README, ROOT, commands, python
+from helpers.pages import README, ROOT, commands, fenced, python
 
 WAIT = 60.0
 QUICKSTART = ROOT / "docs/start/quickstart.md"
@@ -110,6 +116,103 @@ def test_quickstart_in_python_gives_the_same_force(folder, monkeypatch, capsys):
     # as on the command line
     assert np.sqrt(np.mean((force.values - truth) ** 2)) < 3 * np.sqrt(np.mean(force.uncertainty**2))
     assert np.sqrt(np.mean(force.uncertainty**2)) < 1.0
+
+
+def block(page, place=0):
+    """A Python block of a page."""
+    return python((ROOT / page).read_text(encoding="utf-8"))[place]
+
+
+def test_python_of_the_readme_gives_a_force_that_can_be_used(folder, monkeypatch):
+    monkeypatch.chdir(folder)
+    names = {}
+    exec(block("README.md"), names)
+    assert str(names["force"].verdict) == "fit for use"  # the dynamics are those that the rig was built with
+    # and what speaks against a force is told, of one by other dynamics: a tenth is 5 % in frequency
+    names |= {"run": names["run"], "dynamics": ab.Dynamics("AF", mass=177.87, stiffness=3.4e7, damping=828.21)}
+    with pytest.warns(DataQualityWarning):
+        exec(block("docs/doubts.md"), names)
+    assert names["doubt"].component == "AF"
+    assert names["doubt"].text
+
+
+def test_python_of_the_page_on_planning_says_what_limits_a_test(capsys):
+    names = {}
+    exec(block("docs/planning.md"), names)
+    *rows, advice = capsys.readouterr().out.splitlines()
+    assert len(rows) == len(names["found"]["AF"].table)
+    totals = [float(row.split()[1]) for row in rows]
+    assert totals == sorted(totals)  # more bandwidth is more noise
+    assert "AF" in advice
+
+
+RATE, SECONDS = 25_000, 1
+
+
+class Blocks:
+    """A device that gives a recording in blocks, until there are no more."""
+
+    def __init__(self, columns, size=500):
+        self.columns, self.size, self.place = columns, size, 0
+
+    def read(self):
+        part = slice(self.place, self.place + self.size)
+        self.place += self.size
+        values = {name: column[part] for name, column in self.columns.items()}
+        return SimpleNamespace(**values, columns=values) if self.place <= RATE * SECONDS else None
+
+
+def test_python_of_the_page_on_live_forces_gives_them_as_readings_come(rng):
+    # a steady load, whose force is the same
+    noise = rng.normal(size=(3, RATE * SECONDS))
+    source = Blocks({"load": 100 + noise[0], "acceleration": 1e-3 * noise[1], "pitch": 0 * noise[2]})
+    seen = []
+    names = {
+        "dynamics": CABLE_CUT.dynamics,
+        "source": source,
+        "show": lambda *given: seen.append(given),
+    }
+    exec(block("docs/live.md"), names)
+    count = sum(force.size for _, force, _, _ in seen) + names["found"].force.size
+    assert 0.9 * RATE * SECONDS < count * names["live"].factor <= RATE * SECONDS
+    # a mean of readings with 1 N of noise and, at most, the 1 mm/s^2 of the acceleration: five standard errors
+    late = np.concatenate([force for time, force, _, _ in seen if time.size and time[0] > SECONDS / 2])
+    count = late.size * names["live"].factor
+    assert late.mean() == pytest.approx(100, abs=5 * np.hypot(1.0, 1e-3 * CABLE_CUT.dynamics.mass) / np.sqrt(count))
+    assert seen[0][-1] is None  # nothing is known of its health before there is a force
+    assert seen[-1][-1].missing == 0
+
+
+def test_python_of_the_page_on_campaigns_reads_what_one_wrote(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    line = commands((ROOT / "docs/campaign.md").read_text(encoding="utf-8"))[0]
+    assert main(words_of(line)) == 0, capsys.readouterr().err
+    names = {}
+    exec(block("docs/campaign.md"), names)
+    assert (names["table"].status == "reduced").all()
+    assert len(names["table"]) == len(list((folder / "runs").iterdir()))
+
+
+def tables(page, *languages):
+    """The blocks of a page that are TOML."""
+    return [body for kind, body in fenced((ROOT / page).read_text(encoding="utf-8")) if kind in languages]
+
+
+@pytest.mark.parametrize("page", ["docs/monitor.md", "docs/sources.md"])
+def test_tables_of_the_pages_are_taken_by_a_set_up(page):
+    found = tables(page, "toml")
+    assert len(found) >= 3
+    sources = [text for text in found if "[source]" in text]
+    for text in found:
+        # what a page shows of one table stands beside those that say where the readings come from
+        setup_from(tomllib.loads(text if text in sources else f'{text}\n[source]\nkind = "simulated"\n'))
+
+
+def test_the_test_file_of_the_page_on_campaigns_is_one():
+    (text,) = [body for body in tables("docs/campaign.md", "") if "[[setups]]" in body]
+    found = definition_from(tomllib.loads(text))
+    assert [setup.balance for setup in found.setups] == ["balance.json", "balance_2.json"]
+    assert re.search(found.runs.pattern, "runs/run_201_a-2.5.h5").groupdict() == {"run": "201", "alpha": "-2.5"}
 
 
 @pytest.mark.parametrize("line", from_how_to())

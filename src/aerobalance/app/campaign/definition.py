@@ -6,7 +6,7 @@ r"""The test file: TOML that says which runs a test has, and which zeros, balanc
 
     [runs]
     files = "runs/*.h5"                                # names, patterns, or addresses such as s3://bucket/runs/*.h5
-    pattern = 'run_(?P<run>\d+)_a(?P<alpha>[-\d.]+)'     # what the names say, as columns
+    pattern = 'run_(?P<run>\d+)_a(?P<alpha>[-\d.]+)\.h5'  # what the names say, as columns
     table = "runs.csv"                                 # or more columns by file: file, alpha, q, polar ...
 
     [[setups]]                                         # the first holds from the beginning
