@@ -233,6 +233,15 @@ def test_example_of_help_runs_as_printed(line, folder, monkeypatch, capsys):
         assert re.search(rf"^(written|replaced): {re.escape(name)}$", out, flags=re.MULTILINE)
 
 
+@pytest.mark.parametrize("line", [line for line in from_help() if "identify decay" in line or " plan " in line])
+def test_help_has_no_words_of_a_programmer(line, capsys):
+    command = line.split(" -")[0].split()[1:]
+    assert main([*(word for word in command if "." not in word), "--help"]) == 0
+    said = capsys.readouterr().out
+    # one dot after another where several files may be given, as {REC}...
+    assert not re.search(r"list\[|<str>|<int|<float|<Path|\.\.\.\}", said), said
+
+
 def test_example_of_the_demo_is_the_one_that_is_made():
     assert "aerobalance demo --out build/demo" in from_help()
     assert "$(BIN)/aerobalance demo --out build/demo" in (ROOT / "Makefile").read_text()

@@ -145,7 +145,7 @@ def compare_calibrations(
 @bundled
 def weigh(
     files: Annotated[
-        list[Path], typer.Argument(metavar="FILE...", callback=given_all, help="Static points, or recordings.")
+        list[Path], typer.Argument(metavar="FILE", callback=given_all, help="Static points, or recordings.")
     ],
     out: Out = None,
     component: Annotated[
@@ -184,9 +184,7 @@ def weigh(
 def identify_decay(
     recs: Annotated[
         list[Path],
-        typer.Argument(
-            metavar="REC...", callback=given_all, help="A recording; several releases with --component all."
-        ),
+        typer.Argument(metavar="REC", callback=given_all, help="A recording; several releases with --component all."),
     ],
     mass: Annotated[
         str | None,
@@ -258,7 +256,7 @@ def identify_decay(
 def identify_rig(
     recs: Annotated[
         list[Path],
-        typer.Argument(metavar="REC...", callback=given_all, help="A recording; several shakes with --component all."),
+        typer.Argument(metavar="REC", callback=given_all, help="A recording; several shakes with --component all."),
     ],
     mass: Annotated[
         str | None,

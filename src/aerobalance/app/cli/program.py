@@ -6,11 +6,11 @@ import errno
 import os
 import sys
 import warnings
-from collections.abc import Sequence
-from functools import cache
+from collections.abc import Callable, Sequence
+from functools import cache, partial
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import typer
 
@@ -148,7 +148,7 @@ def _run(words: Sequence[str]) -> int:
 
 @cache
 def _command() -> Any:
-    """Make the commands, with flags shown as such: no value follows them."""
+    """Make the commands, with flags shown as such, no value follows them, and types in everyday words."""
     command = typer.main.get_command(app)
     waiting = [command]
     while waiting:
@@ -157,7 +157,30 @@ def _command() -> Any:
         for option in [*present.params, present.get_help_option(typer.Context(present, help_option_names=HELP))]:
             if getattr(option, "is_flag", False):
                 option.metavar = ""  # type: ignore[union-attr]
+            elif (shown := getattr(option, "display_type", None)) is not None:
+                option.display_type = partial(_in_words, shown)  # type: ignore[union-attr]
     return command
+
+
+TYPES: Final = {
+    "str": "text",
+    "int": "whole number",
+    "int range": "whole number",
+    "float": "number",
+    "float range": "number",
+    "Path": "path",
+}
+"""What `--help` calls the kind of a value, by the name that it has in Python."""
+
+
+def _in_words(shown: Callable[[typer.Context], str | None], context: typer.Context) -> str | None:
+    """Return the type that the parser would show, without the words of a programmer."""
+    kind = shown(context)
+    if kind is None:
+        return None
+    plain = kind.removeprefix("<").removesuffix(">")
+    one = plain.removeprefix("list[").removesuffix("]") if plain.startswith("list[") else plain
+    return f"<{TYPES.get(one, one)}>" if kind.startswith("<") else kind
 
 
 def _from_parser(problem: Exception, words: Sequence[str]) -> int:

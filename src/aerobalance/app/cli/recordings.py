@@ -56,7 +56,7 @@ def convert(
     files: Annotated[
         list[Path],
         typer.Argument(
-            metavar="FILE...", callback=given_all, help="A recording; several of one event are aligned and made one."
+            metavar="FILE", callback=given_all, help="A recording; several of one event are aligned and made one."
         ),
     ],
     out: NeededOut,

@@ -37,7 +37,7 @@ def identify_impact(
     recs: Annotated[
         list[Path],
         typer.Argument(
-            metavar="REC...",
+            metavar="REC",
             callback=given_all,
             help="Recordings with impact_force [N] beside the loads, each with taps at one point, or one of a shaker.",
         ),
