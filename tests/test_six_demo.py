@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import shlex
 from pathlib import Path
@@ -63,6 +64,8 @@ def test_six_components_from_millivolts_to_forces(
     page = (tmp_path / "six.html").read_text(encoding="utf-8")
     assert page.count("<svg") == 2
     assert "http" not in page
+    for name in ("run.h5", "balance.json", "zero.h5", "dynamics.json", "truth.csv"):
+        assert hashlib.sha256((tmp_path / name).read_bytes()).hexdigest() in page, name
     monkeypatch.chdir(tmp_path)
     as_shown_on_the_pages(capsys)
 

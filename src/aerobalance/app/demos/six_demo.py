@@ -23,13 +23,13 @@ from aerobalance.app.reports.page import write_page
 from aerobalance.app.reports.six_figures import SixFigure, six_figure
 from aerobalance.estimation.force import estimate_force
 from aerobalance.io import read, write_recording
+from aerobalance.io.artefacts import provenance
 from aerobalance.io.balfit_file import write_balfit_schedule
 from aerobalance.io.dynamics_file import read_coupled
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.errors import kept_warnings
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.version import VERSION
 from aerobalance.simulation import SixComponentRig
 from aerobalance.simulation.calibration_stand import CalibrationStand
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
@@ -144,7 +144,8 @@ def run_six(out: Path, *, seed: int | None = None) -> Result:
             (_around(simulation), "about the release"),
         )
     ]
-    write_page(out / "six.html", "six.html.j2", {"found": result, "figures": figures, "version": VERSION})
+    origin = provenance([run, files.balance, *files.zero, dynamics, out / "truth.csv"])
+    write_page(out / "six.html", "six.html.j2", {"found": result, "figures": figures, "origin": origin})
     return {**result, "summary": summary(result)}
 
 
