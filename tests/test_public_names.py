@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -211,6 +212,32 @@ def test_wrong_calls_say_what_is_allowed():
         ab.reconstruct  # noqa: B018 - reading it is the call
     with pytest.raises(ValueError, match="given twice of AF"):
         ab.estimate_force(ab.Recording.from_arrays(t, {"AF": t}), [ab.Dynamics("AF", 1, 1, 0)] * 2)
+
+
+def test_a_file_or_a_table_where_what_it_holds_is_needed_is_told():
+    t = np.arange(100) / 100
+    table = ab.Recording.from_arrays(t, {"AF": t}).to_dataframe()
+    spring = ab.Dynamics("AF", mass=1, stiffness=1e4, damping=1)
+    recording = r"a recording is needed, not the name of a file: `read` reads one"
+    for call in (
+        lambda: ab.estimate_force("run.csv", spring),
+        lambda: ab.compare("run.csv", spring),
+        lambda: ab.identify("cut.csv", mass=1),
+        lambda: ab.identify(["cut.csv"], mass=1),
+        lambda: ab.weigh("points.csv"),
+        lambda: ab.weigh([Path("points.csv")]),
+        lambda: ab.Zero("zero.csv", model_on=True),
+    ):
+        with pytest.raises(ValueError, match=recording):
+            call()
+    with pytest.raises(ValueError, match=r"not a DataFrame: .*`Recording.from_dataframe`"):
+        ab.estimate_force(table, spring)
+    with pytest.raises(ValueError, match=r"not a DataFrame: .*`Recording.from_dataframe`"):
+        ab.identify(table, mass=1)
+    with pytest.raises(ValueError, match="a load schedule is needed, not the name of a file: `read_schedule` reads"):
+        ab.calibrate("schedule.csv")
+    with pytest.raises(ValueError, match=r"the forces of all components are needed, not a Recording"):
+        ab.budget(ab.Recording.from_arrays(t, {"AF": t}))
 
 
 def test_importing_compiles_and_loads_nothing():

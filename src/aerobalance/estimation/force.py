@@ -42,7 +42,7 @@ from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, loads_hint
 from aerobalance.recording.doubts import Doubt
-from aerobalance.recording.errors import FitError, kept_warnings, warn_quality
+from aerobalance.recording.errors import FitError, check_recording, kept_warnings, warn_quality
 from aerobalance.recording.part_warnings import PartWarnings
 from aerobalance.recording.parts import LongRecord, Part
 from aerobalance.recording.progress import PROGRESS
@@ -95,6 +95,7 @@ def estimate_force(
     ValueError
         A setting is not allowed, or the loads count from the weight of the model and do not say what it is.
     """
+    check_recording(run)
     settings = ForceSettings(method, bandwidth, gravity, gravity_uncertainty, hum, keep_outliers, align)
     model = dynamics_of(dynamics)
     if balance is None and zero is not None:

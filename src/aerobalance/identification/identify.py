@@ -22,7 +22,7 @@ from aerobalance.identification.step_relaxation.identify import identify_release
 from aerobalance.identification.step_relaxation.release_result import CoupledIdentification
 from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.components import COMPONENTS
-from aerobalance.recording.errors import FitError
+from aerobalance.recording.errors import FitError, one_or_more
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
 
@@ -87,7 +87,7 @@ def identify(
         raise ValueError(f"excitation must be release, base or impact, not {excitation!r}")
     if points is not None and excitation != "impact":
         raise ValueError("points are those of taps: give excitation='impact' as well")
-    given = [recordings] if isinstance(recordings, Recording | Loads) else list(recordings)
+    given: list[Recording | Loads] = one_or_more(recordings)
     if not given:
         raise ValueError("at least one recording is needed")
     if balance is None and zero is not None:

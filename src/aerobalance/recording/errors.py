@@ -6,7 +6,7 @@ import contextlib
 import os
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence, ValuesView
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
@@ -76,6 +76,38 @@ def argument(name: str, value: Any = None) -> str:
         return f"`{name}`"
     text = repr(value).replace("Ellipsis", "...")
     return f"`{name}({text})`" if "." in name else f"`{name}={text}`"
+
+
+def not_as_given(wanted: str, given: object, instead: str) -> ValueError:
+    """Return the error of an argument of another kind, such as the name of a file in place of what it holds."""
+    name = "the name of a file" if isinstance(given, str | os.PathLike) else f"a {type(given).__name__}"
+    return ValueError(f"{wanted} needed, not {name}: {instead}")
+
+
+def check_recording(given: object) -> None:
+    """Refuse what is no recording where one is needed.
+
+    Raises
+    ------
+    ValueError
+        It is the name of a file, a table, or something else.
+    """
+    if not hasattr(given, "samples"):
+        raise not_as_given(
+            "a recording is",
+            given,
+            "`read` reads one from a file, and `Recording.from_arrays`, `Recording.from_dataframe` or "
+            "`Recording.from_xarray` makes one",
+        )
+
+
+def one_or_more(given: Any) -> list[Any]:
+    """Return recordings that are given one or several at a time; ValueError where one of them is none."""
+    several = isinstance(given, Sequence | Iterator | ValuesView) and not isinstance(given, str)
+    found = list(given) if several else [given]
+    for one in found:
+        check_recording(one)
+    return found
 
 
 class DataQualityWarning(UserWarning):

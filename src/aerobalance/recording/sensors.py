@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.recording.channel import Array, Channel, unit_inside
-from aerobalance.recording.errors import FitError
+from aerobalance.recording.errors import FitError, check_recording
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import fractional_delay, interpolate_gaps_linearly
 
@@ -47,6 +47,7 @@ def corrected(recording: Recording) -> Recording:
     FitError
         A channel is sensitive to another one that is not recorded, or has no reading.
     """
+    check_recording(recording)
     channels = {name: _unfiltered(channel, recording) for name, channel in recording.channels.items()}
     straight = {name: _straightened(channel, channels, recording) for name, channel in channels.items()}
     if all(straight[name] is channel for name, channel in recording.channels.items()):

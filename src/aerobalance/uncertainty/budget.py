@@ -26,7 +26,7 @@ from aerobalance.estimation.sums import ForceSums, Key, SpectrumSums, segment_le
 from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.channel import Array
 from aerobalance.recording.doubts import DOUBTED
-from aerobalance.recording.errors import argument
+from aerobalance.recording.errors import argument, not_as_given
 
 
 @dataclass(frozen=True, slots=True)
@@ -348,6 +348,8 @@ def budget(force: Mapping[str, ComponentForce]) -> dict[str, tuple[BudgetLine, .
     force
         The forces, as `aerobalance.estimate_force` gives them.
     """
+    if not hasattr(force, "items"):
+        raise not_as_given("the forces of all components are", force, "`estimate_force` returns them")
     return {name: (*component_budget(part), *_assumed(part)) for name, part in force.items()}
 
 

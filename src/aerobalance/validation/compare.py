@@ -16,7 +16,7 @@ from aerobalance.dynamics.independent import AnyDynamics, dynamics_of
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.components import STANDARD_GRAVITY
-from aerobalance.recording.errors import FitError, argument
+from aerobalance.recording.errors import FitError, argument, check_recording
 from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
 from aerobalance.validation.baselines import BaselineEstimate, BaselineSettings, estimates
@@ -110,6 +110,7 @@ def compare(
     ValueError
         A step is given for several components.
     """
+    check_recording(run)
     model = dynamics_of(dynamics)
 
     def made_ready(given: Recording | Loads) -> Recording | Loads:

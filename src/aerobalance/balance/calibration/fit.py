@@ -31,7 +31,7 @@ from aerobalance.balance.schedule import Schedule
 from aerobalance.balance.terms import Model, Term, terms_of
 from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import FitError
+from aerobalance.recording.errors import FitError, not_as_given
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,6 +136,8 @@ def calibrate(
     DataQualityWarning
         The matrix can be used, but something in the schedule makes it worse than it looks.
     """
+    if not hasattr(schedule, "fitted"):
+        raise not_as_given("a load schedule is", schedule, "`read_schedule` reads one from a file")
     outliers = check_schedule(schedule)
     noise = _noise_of(reading_noise, schedule.gauges)
     terms = terms_of(model, len(schedule.components))

@@ -22,7 +22,7 @@ from aerobalance.balance.weight_on_zero import (
 from aerobalance.balance.zeros import CLEARLY, CarriedWeight, GaugeZero, Zero
 from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
-from aerobalance.recording.errors import FitError, argument, kept_warnings, warn_quality
+from aerobalance.recording.errors import FitError, argument, kept_warnings, one_or_more, warn_quality
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
 
@@ -66,7 +66,7 @@ def weigh(
     names = None if components is None else tuple(components)
     if isinstance(points, LoadPoints):
         return fit_weight(points, gravity=gravity)
-    recordings = [points] if isinstance(points, Recording) else list(points)
+    recordings: list[Recording] = one_or_more(points)
     if balance is not None:
         found = weighing_points(recordings, matrix_of(balance), zero=zero, gravity=gravity, names=names)
         return fit_weight(found, gravity=gravity)
