@@ -82,8 +82,8 @@ def test_every_option_that_a_message_names_is_there():
 def test_the_library_names_no_options():
     library = [path for path in naming(OPTION) if not path.is_relative_to(SOURCE / "app")]
     whole = re.compile(r"`aerobalance [^`]*`")  # a command to be typed as it stands
-    named = {path.name: OPTION.findall(whole.sub("", text)) for path in library for text in texts(path)}
-    assert {name: options for name, options in named.items() if options} == {}
+    named = {(path.name, text): OPTION.findall(whole.sub("", text)) for path in library for text in texts(path)}
+    assert {text: options for text, options in named.items() if options} == {}
 
 
 def test_every_argument_that_a_message_names_has_an_option():

@@ -7,7 +7,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, Final
 
-from aerobalance.recording.errors import GAUGES_BECOME_LOADS, WITH_A_MATRIX
+from aerobalance.recording.errors import A_RELEASE, GAUGES_BECOME_LOADS, WHERE_TAPPED, WITH_A_MATRIX
 
 OPTIONS: Final[Mapping[str, str]] = {
     "Schedule.geometry": "--distances",
@@ -38,6 +38,8 @@ OPTIONS: Final[Mapping[str, str]] = {
 PHRASES: Final[Mapping[str, str]] = {
     GAUGES_BECOME_LOADS: "gauge outputs become loads by a balance matrix: weigh, identify decay and rig, force and "
     "compare take --balance, and for other commands aerobalance loads --balance writes a recording of the loads",
+    A_RELEASE: "identify decay takes it",
+    WHERE_TAPPED: "Give the point and the direction (--at 0.1,0,0.05 --direction 0,0,-1)",
     WITH_A_MATRIX: "give --balance balance.json",
     "a weighing of all loads as `tare`": "the mass.json of a weighing of all loads (weigh without --component) with "
     "--mass",

@@ -25,6 +25,12 @@ NAMES_BY_MAP: Final = (
 )
 """What to do where no channel has a name that is known."""
 
+A_RELEASE: Final = "identify it as one, with `excitation='release'`"
+"""What to do with a recording of a free decay."""
+
+WHERE_TAPPED: Final = "Give a point and a direction for each recording in `points`"
+"""What to do where it is not known where a model was tapped."""
+
 WITH_A_MATRIX: Final = "give the balance matrix as `balance`"
 """What gauge outputs need."""
 

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.estimation.spectra.periodogram import INSIDE, LONGEST, density_of
-from aerobalance.recording.errors import FitError
+from aerobalance.recording.errors import FitError, argument
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import interpolate_gaps
 
@@ -79,7 +79,8 @@ def check_clock(
                         f"samples a second. That is 1/{factor:.0f} of a natural frequency of the dynamics, "
                         f"{own:.4g} Hz, and this is above half the rate: the times are in {unit} and are taken for s. "
                         f'Write their unit [{unit}] in the header, or put time_unit = "{unit}" under [file] of a '
-                        "channel map (--map), which `aerobalance map FILE` makes; or give the right sampling rate"
+                        f"channel map ({argument('channel_map')}), which `aerobalance map FILE` makes; or give "
+                        "the right sampling rate"
                     )
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from aerobalance.identification.step_relaxation.record import FEWEST, ROUNDING
 from aerobalance.recording.channel import IMPACT_FORCE, Array, Channel
-from aerobalance.recording.errors import FitError, warn_quality
+from aerobalance.recording.errors import A_RELEASE, FitError, argument, warn_quality
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
 
@@ -140,8 +140,8 @@ def tap_record(recording: Recording, components: tuple[str, ...]) -> TapRecord:
     if FORCE not in recording:
         raise FitError(
             f"{recording.name} has no {FORCE}, the measured force of the hammer in N; it has "
-            f"{', '.join(recording.channels)}. A channel map names the column it is in (--map); releases without a "
-            "measured force are for identify decay"
+            f"{', '.join(recording.channels)}. A channel map names the column it is in "
+            f"({argument('channel_map')}); a release has no measured force: {A_RELEASE}"
         )
     channels = [recording.channel(name) for name in components]
     values = np.column_stack([_usable(channel, recording.name) for channel in channels])

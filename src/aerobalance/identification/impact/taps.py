@@ -55,7 +55,7 @@ from aerobalance.identification.step_relaxation.identify import sizes_of
 from aerobalance.recording.channel import IMPACT_FORCE, Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.doubts import Doubt
-from aerobalance.recording.errors import FitError, warn_quality
+from aerobalance.recording.errors import WHERE_TAPPED, FitError, warn_quality
 from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
 
@@ -206,9 +206,8 @@ def _check_points(recordings: Sequence[Recording], where: Sequence[TapPoint | No
     lacking = [recording.name for recording, point in zip(recordings, where, strict=True) if point is None]
     if lacking and len(names) > 1:
         raise ValueError(
-            f"{', '.join(lacking)}: where was the model tapped, and which way? Give the point and the direction, aft, "
-            f"right and up from the balance's centre (--at 0.1,0,0.05 --direction 0,0,-1), or place and axis of "
-            f"{IMPACT_FORCE} in the channel map"
+            f"{', '.join(lacking)}: where was the model tapped, and which way? {WHERE_TAPPED}, aft, "
+            f"right and up from the balance's centre, or place and axis of {IMPACT_FORCE} in the channel map"
         )
 
 
