@@ -15,7 +15,7 @@ import pytest
 from aerobalance.acquisition.processes import load_beforehand
 
 # as the page does: what its processes need is named before a test starts the first process
-load_beforehand(*(f"aerobalance.app.monitor.{name}" for name in ("engine", "learner", "jobs")))
+load_beforehand("numba", *(f"aerobalance.app.monitor.{name}" for name in ("engine", "learner", "jobs")))
 
 # Four thousand tests are collected, and are kept to the end: going through them for what may be thrown away takes each
 # process 5 s while they are made, and 3 % of the time of the tests afterwards.

@@ -18,7 +18,11 @@ ROOT = Path(aerobalance.__file__).parent
 
 
 def test_all_that_is_compiled_is_in_the_digest():
-    files = {path.relative_to(ROOT).as_posix() for path in ROOT.rglob("*.py") if "numba" in path.read_text()}
+    files = {
+        path.relative_to(ROOT).as_posix()
+        for path in ROOT.rglob("*.py")
+        if re.search(r"import numba|numba\.", path.read_text())
+    }
     users = {path.relative_to(ROOT).as_posix() for path in ROOT.rglob("*.py") if "@compiled(" in path.read_text()}
     assert files <= set(SOURCES)
     assert users | {"recording/compiled.py"} == set(SOURCES)
@@ -35,6 +39,18 @@ def test_a_change_of_any_source_makes_another_digest(tmp_path):
         (tmp_path / name).write_bytes(before + b"#\n")
         assert state_of(tmp_path) != STATE, name
         (tmp_path / name).write_bytes(before)
+
+
+def test_the_compiler_is_loaded_by_the_first_loop_that_is_called():
+    """Looking at a file, recording and the page's server call none."""
+    program = (
+        "import sys, numpy as np; import aerobalance.app.cli.program, aerobalance.acquisition.recorder; "
+        "from aerobalance.dynamics import _kernels; from aerobalance.estimation import force; "
+        "before = 'numba' in sys.modules; "
+        "print(before, callable(_kernels.first_order))"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "False True\n"
 
 
 KERNELS = """

@@ -39,7 +39,7 @@ from aerobalance.app import cli
 from aerobalance.app.commands import recordings
 print(gc.isenabled(), gc.get_freeze_count() > 0)
 def info(*_, **__):
-    print(gc.isenabled(), gc.get_freeze_count() > 100_000)
+    print(gc.isenabled(), gc.get_freeze_count() > 50_000)
     return {"summary": ""}
 recordings.info = info
 sys.argv = ["aerobalance", "info", "none.csv"]

@@ -1,5 +1,8 @@
 """Functions that are compiled when they are first used on a machine, and kept on its disk.
 
+The compiler is loaded when the first of them is called, which takes a third of a second: much of the program, as what
+looks at a file or records one, calls none.
+
 What is kept belongs to one state of all sources that are compiled: their names on the disk hold a digest of them. So a
 program that is upgraded never finds what another version left, which it could not read, or which would have the old
 steps of another file inside.
@@ -13,13 +16,16 @@ from contextlib import suppress
 from functools import cache
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Final, TypeVar
-
-import numba
-from numba.core import event
+from threading import RLock
+from typing import TYPE_CHECKING, Any, Final, TypeVar, cast
 
 from aerobalance.recording.first_use import FIRST_USE
 from aerobalance.recording.version import VERSION
+
+if TYPE_CHECKING:
+    from types import ModuleType
+
+    from numba.core.event import Event
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -65,22 +71,74 @@ def compiled(*, inner: bool = False, **options: Any) -> Callable[[Function], Fun
 
     def decorated(function: Function) -> Function:
         function.__qualname__ = f"{function.__qualname__}_{STATE}"  # a part of the names on the disk
-        try:
-            found: Function = numba.njit(cache=True, **options)(function)
-        except RuntimeError:  # no folder to keep it in
-            found = numba.njit(**options)(function)
-        return found
+        return cast("Function", _Compiled(function, options))
 
     return decorated
 
 
-class _Compiling(event.Listener):
+class _Compiled:
+    """A function that is handed to the compiler at its first call, with what it calls."""
+
+    __slots__ = ("_compiler", "_options", "py_func")
+
+    def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
+        self.py_func, self._options = function, options
+        self._compiler: Callable[..., Any] | None = None
+
+    def __call__(self, *arguments: Any) -> Any:
+        return (self._compiler or self.handed_over())(*arguments)
+
+    def handed_over(self) -> Callable[..., Any]:
+        """What compiles the function for the types of arguments that it is called with, and calls it."""
+        with _HANDING:
+            if self._compiler is None:
+                self._compiler = _made(self.py_func, self._options)
+                place = self.py_func.__globals__
+                for name, value in list(place.items()):  # the compiler takes a name for what stands there
+                    if isinstance(value, _Compiled):
+                        place[name] = value.handed_over()
+            return self._compiler
+
+
+_HANDING: Final = RLock()
+"""Held while functions are handed to the compiler: two threads may call the same one first."""
+
+
+def _made(function: Callable[..., Any], options: dict[str, Any]) -> Callable[..., Any]:
+    """A function in the compiler's hands, kept on the disk where there is a folder for it."""
+    numba = _numba()
+    try:
+        return cast("Callable[..., Any]", numba.njit(cache=True, **options)(function))
+    except RuntimeError:  # no folder to keep it in
+        return cast("Callable[..., Any]", numba.njit(**options)(function))
+
+
+@cache
+def _numba() -> ModuleType:
+    """The compiler, which tells of its work from now on."""
+    searched = gc.isenabled()
+    gc.disable()  # as while it compiles
+    try:
+        import numba  # noqa: PLC0415 - takes a third of a second, and much of the program compiles nothing
+        from numba.core import event  # noqa: PLC0415
+    finally:
+        if searched:
+            gc.enable()
+
+    class Listener(_Compiling, event.Listener):
+        """Known as one to the compiler."""
+
+    event.register("numba:compile", Listener())  # type: ignore[no-untyped-call]
+    return numba
+
+
+class _Compiling:
     """Hears of everything that is compiled."""
 
     def __init__(self) -> None:
         self._depth, self._searched = 0, False
 
-    def on_start(self, event: event.Event) -> None:
+    def on_start(self, event: Event) -> None:
         """Tell whoever waits, and take away what is kept of other states."""
         if not self._depth:
             FIRST_USE.begin()
@@ -92,7 +150,7 @@ class _Compiling(event.Listener):
         if folder is not None and function.__qualname__.endswith(STATE):
             clear(Path(folder), Path(function.__code__.co_filename).stem)
 
-    def on_end(self, _: event.Event) -> None:
+    def on_end(self, _: Event) -> None:
         """Go on as before."""
         self._depth -= 1
         if not self._depth and self._searched:
@@ -106,6 +164,3 @@ def clear(folder: Path, module: str) -> None:
         for file in folder.glob(f"{module}.*.nb[ci]"):
             if STATE not in file.name:
                 file.unlink(missing_ok=True)
-
-
-event.register("numba:compile", _Compiling())  # type: ignore[no-untyped-call]

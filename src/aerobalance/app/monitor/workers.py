@@ -23,7 +23,8 @@ if TYPE_CHECKING:
 
 _ENDED: Final = "it was ended before it was done"
 
-load_beforehand(*(f"aerobalance.app.monitor.{name}" for name in ("engine", "learner", "jobs")))
+# the compiler is loaded by the first loop that is called, which would be in each of them
+load_beforehand("numba", *(f"aerobalance.app.monitor.{name}" for name in ("engine", "learner", "jobs")))
 
 
 def _engine(control: Pipe) -> None:
