@@ -74,39 +74,47 @@ def appending(
     """
     del rows
     h5netcdf = library_to_write("h5netcdf", "netcdf", path, "NetCDF")
+    import h5py  # noqa: PLC0415 - a quarter of a second, and only these files need it
+
     split = {label: split_label(label) for label in labels}
     time = time_label(path, labels, "a NetCDF file")
-    with replacing(path) as beside, h5netcdf.File(beside, "w") as file:
-        file.attrs.update(
-            {
-                "Conventions": "CF-1.11",
-                "title": path.stem,
-                "source": f"aerobalance {VERSION}",
-                "featureType": "timeSeries",
-            }
-        )
-        file.dimensions = {"time": None}
-        variables = {label: _variable(file, "time" if label == time else split[label][0]) for label in labels}
-        for label, variable in variables.items():
-            unit = split[label][1]
-            if label == time:
-                variable.attrs.update(_about_time(unit, epoch))
-                continue
-            spelled = {"units": _UNITS.get(unit, unit), "unit": unit} if unit else {}
-            text = sensor_text(described[label]) if described and label in described else ""
-            long = {"long_name": _LONG[split[label][0]]} if split[label][0] in _LONG else {}
-            variable.attrs.update(spelled | long | ({KEY: text} if text else {}))
-        written = 0
+    with replacing(path) as beside:
+        with h5netcdf.File(beside, "w") as file:
+            file.attrs.update(
+                {
+                    "Conventions": "CF-1.11",
+                    "title": path.stem,
+                    "source": f"aerobalance {VERSION}",
+                    "featureType": "timeSeries",
+                }
+            )
+            file.dimensions = {"time": None}
+            places = {}
+            for label in labels:
+                variable = _variable(file, "time" if label == time else split[label][0])
+                places[label] = variable.name
+                unit = split[label][1]
+                if label == time:
+                    variable.attrs.update(_about_time(unit, epoch))
+                    continue
+                spelled = {"units": _UNITS.get(unit, unit), "unit": unit} if unit else {}
+                text = sensor_text(described[label]) if described and label in described else ""
+                long = {"long_name": _LONG[split[label][0]]} if split[label][0] in _LONG else {}
+                variable.attrs.update(spelled | long | ({KEY: text} if text else {}))
+        # h5netcdf looks a variable up some six times at every access, which takes longer than writing a part of it
+        with h5py.File(beside, "r+") as file:
+            datasets = {label: file[place] for label, place in places.items()}
+            written = 0
 
-        def append(columns: Mapping[str, Array]) -> None:
-            nonlocal written
-            end = written + columns[time].size
-            file.resize_dimension("time", end)
-            for label, variable in variables.items():
-                variable[written:end] = without_infinities(columns[label])
-            written = end
+            def append(columns: Mapping[str, Array]) -> None:
+                nonlocal written
+                end = written + columns[time].size
+                for label, dataset in datasets.items():
+                    dataset.resize((end,))
+                    dataset[written:end] = without_infinities(columns[label])
+                written = end
 
-        yield append
+            yield append
 
 
 def _variable(file: Any, name: str) -> Any:
