@@ -344,14 +344,21 @@ def appending(
     ValueError
         A column has more bytes than the format allows, or the file cannot be written.
     """
-    del rows
     from scipy.io import savemat  # noqa: PLC0415 - a tenth of a second, and only these files need it
 
-    parts: dict[str, list[Array]] = {label: [] for label in labels}
+    # one place for all rows that are expected: pages of it that are never written take no memory
+    most = _LARGEST // 8 + 1
+    whole = {label: np.empty(min(rows, most)) for label in labels}
+    written = 0
 
     def append(columns: Mapping[str, Array]) -> None:
+        nonlocal written
+        end = written + len(columns[labels[0]])
         for label in labels:
-            parts[label].append(np.array(columns[label], dtype=np.float64))
+            if end > whole[label].size:
+                whole[label] = np.concatenate([whole[label][:written], np.empty(end)])
+            whole[label][written:end] = columns[label]
+        written = end
 
     with replacing(path) as beside:
         yield append
@@ -360,7 +367,7 @@ def appending(
         for label in labels:
             name, unit = split_label(label)
             variable = _variable_name(name, content)
-            content[variable] = np.concatenate(parts.pop(label))
+            content[variable] = whole.pop(label)[:written]
             if content[variable].nbytes > _LARGEST:
                 raise ValueError(
                     f"cannot write {path}: a variable of MATLAB 5 has at most 2 GB; write .h5 or .parquet"
