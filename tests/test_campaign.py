@@ -337,6 +337,8 @@ def test_any_scheduler_does_the_same_and_may_lose_workers_and_be_started_anew(tm
             out, err = command.communicate(timeout=120)
     assert command.returncode == 0, err
     assert json.loads(out)["reduced"] == 5
+    assert f"the scheduler {address} is gone" in err
+    assert "Traceback" not in err
     table = pq.read_table(tmp_path / "out" / "summary.parquet")
     without = [name for name in table.column_names if name != "report"]
     assert table.select(without).equals(pq.read_table(tmp_path / "serial" / "summary.parquet").select(without))

@@ -95,7 +95,8 @@ class Engine:
             if left:
                 raise FitError("the processes of this machine ended before all runs were done; call again to go on")
             return
-        yield from self._by_scheduler(self.scheduler, left, report)
+        with _quiet_client():
+            yield from self._by_scheduler(self.scheduler, left, report)
 
     def _by_scheduler(
         self, address: str, left: dict[str, RunWork], report: Report | None
@@ -108,6 +109,8 @@ class Engine:
                 with self._at(address, wait=ANSWER) as client:
                     first = False
                     yield from self._done_by(client, left, report)
+                    if left and client.status != "running":
+                        self.told(f"the scheduler {address} is gone; waiting up to {self.patience:g} s for it")
             except _GoneError as problem:
                 if first:
                     raise ValueError(
@@ -240,6 +243,20 @@ def _row_of(future: Any, task: RunWork) -> Row | None:
 def _need_dask() -> None:
     if find_spec("distributed") is None:
         raise MissingLibraryError("distributed")
+
+
+@contextmanager
+def _quiet_client() -> Iterator[None]:
+    """Keep to itself what Dask logs of a scheduler that is gone: a traceback of what is waited for."""
+    import distributed  # noqa: F401, PLC0415 - of an extra; it sets the level when it is loaded
+
+    log = logging.getLogger("distributed.client")
+    level = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
 
 
 def _quiet_tracker() -> None:
