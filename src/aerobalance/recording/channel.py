@@ -237,9 +237,11 @@ class Channel(SensorSpec):
             return np.zeros(self.values.shape, dtype=bool)
         sides = [_clipped(self.values, sign) for sign in (1.0, -1.0)]
         events = [count for _, count in sides]
+        nothing = np.zeros(self.values.shape, dtype=bool)
+        if not any(events):  # as in most records: whether the ends are symmetric need not be looked at
+            return nothing
         if self._has_symmetric_ends:
             events = [sum(events)] * 2
-        nothing = np.zeros(self.values.shape, dtype=bool)
         upper, lower = (flags if count >= 2 else nothing for (flags, _), count in zip(sides, events, strict=True))
         return upper | lower
 
