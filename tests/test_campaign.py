@@ -214,6 +214,12 @@ def test_inputs_come_from_a_store_and_results_go_to_one(files, tmp_path):
     store.rm("/results", recursive=True)
 
 
+def test_the_library_of_a_store_is_named_with_the_command_that_installs_it(monkeypatch):
+    monkeypatch.setitem(sys.modules, "adlfs", None)  # as if it were not installed
+    with pytest.raises(ReadError, match=r"abfs://box/run\.h5: cannot be opened: .*: pip install adlfs$"):
+        fingerprint("abfs://box/run.h5")
+
+
 @pytest.mark.parametrize(
     ("before", "after", "same"),
     [

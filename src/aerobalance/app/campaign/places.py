@@ -88,8 +88,18 @@ def store_of(place: str) -> tuple[AbstractFileSystem, str]:
     try:
         system, inside = url_to_fs(place)
     except (ValueError, ImportError) as error:
-        raise ReadError(place, "", f"cannot be opened: {' '.join(str(error).split())}") from None
+        command = _command_for(place) if isinstance(error, ImportError) else ""
+        raise ReadError(place, "", f"cannot be opened: {' '.join(str(error).split())}{command}") from None
     return system, inside
+
+
+def _command_for(place: str) -> str:
+    """The command that installs the library of a kind of store; nothing where fsspec does not name it."""
+    from fsspec.registry import known_implementations  # noqa: PLC0415 - of an extra
+
+    known = known_implementations.get(place.partition("://")[0], {})
+    module = str(known.get("class", "")).partition(".")[0]
+    return f": pip install {module}" if module not in ("", "fsspec") else ""
 
 
 def exists(place: str) -> bool:
