@@ -13,7 +13,16 @@ import pytest
 
 import aerobalance as ab
 from aerobalance.app.cli import main
-from aerobalance.io import FORMATS, format_library, load_channel_map, read, series_values, template, write_recording
+from aerobalance.io import (
+    FORMATS,
+    column_names,
+    format_library,
+    load_channel_map,
+    read,
+    series_values,
+    template,
+    write_recording,
+)
 from aerobalance.io.hdf5_parts import Hdf5Record
 from aerobalance.io.long_record import open_record
 from aerobalance.io.series_record import SeriesRecord
@@ -93,6 +102,13 @@ def test_wav_is_shares_of_full_scale(tmp_path) -> None:
     found = read(path, channel_map=load_channel_map(toml))
     assert found.rate == RATE
     np.testing.assert_allclose(found.channel("AF").values, LOAD, rtol=0, atol=200 * 0.5001 / 32768)
+
+
+def test_a_proposed_map_says_how_many_channels_wait_for_a_person(tmp_path, capsys) -> None:
+    wav(tmp_path / "a.wav")
+    count = len(column_names(tmp_path / "a.wav"))  # none of which has a name that tells it
+    assert main(["map", str(tmp_path / "a.wav"), "-o", str(tmp_path / "map.toml")]) == 0
+    assert f"map of {count} columns, {count} wait for a person" in capsys.readouterr().out
 
 
 def test_matrices_are_columns_by_number(tmp_path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
@@ -257,7 +258,7 @@ def channel_map_for(path: Path, out: Path | None, *, header_line: int | None = N
         with replacing(out) as beside:
             beside.write_text(text, encoding="utf-8")
     columns = list(column_names(path, header_line=header_line))
-    open_ones = text.count("# unassigned")
+    open_ones = len(re.findall(r"^# \[channels\..*\bunassigned\b", text, flags=re.MULTILINE))
     waiting = "1 waits for a person to say what it is"
     if open_ones != 1:
         waiting = f"{open_ones} wait for a person to say what they are" if open_ones else "all with a proposal"
