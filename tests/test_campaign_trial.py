@@ -27,6 +27,7 @@ def judged(found: Campaign, test: WholeTest) -> None:
     flags = {flag.kind: flag for flag in found.quality.flags if flag.kind != "set aside"}
     assert set(flags["zero drift"].runs) == set(test.drifted) - set(test.broken)
     assert flags["set-up change"].runs == (test.changed,)
+    assert not {"stiffness", "damping"} & set(flags), flags  # the dynamics are those of the test
 
 
 def test_a_few_runs_and_a_zero_that_changed(tmp_path, rng):
