@@ -79,6 +79,8 @@ def test_offset_and_drift_are_found_within_their_uncertainty(rng, way) -> None:
     assert found.u_drift < {"tick": 1e-8, "trigger": 3e-5, "correlation": 3e-6}[way]
     assert abs(found.offset - OFFSET) < 5 * found.u_offset
     assert abs(found.drift - DRIFT) < 5 * found.u_drift
+    # a second of its own is a longer one of the other where it is slow
+    assert f"its clock is {'slow' if DRIFT > 0 else 'fast'} by {1e6 * abs(found.drift):.3f} ppm" in found.told()
 
 
 @pytest.mark.soak(first=0)

@@ -73,7 +73,8 @@ class Alignment:
             else ", as good as the clocks of the computers"
         )
         drift = (
-            f"its clock runs {1e6 * self.drift:+.3f} ppm, u = {1e6 * self.u_drift:.2g} ppm"
+            f"its clock is {'slow' if self.drift > 0 else 'fast'} by {1e6 * abs(self.drift):.3f} ppm, "
+            f"u = {1e6 * self.u_drift:.2g} ppm"
             if np.isfinite(self.u_drift)
             else "a drift of its clock cannot be seen and is taken as none"
         )
@@ -99,8 +100,8 @@ class Pair:
         """The alignment by a straight line of base times over other times."""
         if not abs(line.slope - 1) < LARGEST_DRIFT:
             raise FitError(
-                f"by {way} of {self.by}, the clock of {self.other.name} runs {line.slope:.6g} times as fast as that "
-                f"of {self.base.name}, which no two clocks differ by: {self.by} is not the same in both"
+                f"by {way} of {self.by}, the clock of {self.base.name} runs {line.slope:.6g} times as fast as that "
+                f"of {self.other.name}, which no two clocks differ by: {self.by} is not the same in both"
             )
         start = self.other.start
         return Alignment(
