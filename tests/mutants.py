@@ -39,7 +39,7 @@ SMOOTHER = ("test_smoother", "test_equations", "test_prior_and_steps", "test_fas
 TESTS = {
     "balance/inversion.py": ("test_balance", "test_calibration", PINNED),
     "balance/matrix.py": ("test_balance", "test_calibration", "test_loads", PINNED),
-    "estimation/direct.py": ("test_smoother", "test_force", "test_gravity", "test_coupled_rivals", PINNED),
+    "estimation/direct.py": ("test_smoother", "test_force", "test_gravity", "test_coupled_baselines", PINNED),
     "estimation/force_smoother.py": (*SMOOTHER, "test_hum", "test_one_model"),
     "estimation/statespace/kalman.py": SMOOTHER,
     "identification/free_decay/fit.py": DECAY,

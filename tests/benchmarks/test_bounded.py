@@ -141,7 +141,7 @@ def test_each_further_step_takes_what_the_first_takes(name: str, record, rng) ->
 
 
 def test_a_minute_of_a_square_wave(record, rng) -> None:
-    """Too many edges for a record of this length: it ends soon, and is no worse than rivals tuned with the truth."""
+    """Too many edges for a record of this length: it ends soon, and is no worse than inverses tuned with the truth."""
     edges = [(0.1 * k + rng.uniform(0, 1) / RATE, 700.0 * (-1) ** k, 0.0) for k in range(1, 600)]
     run = stepped(edges, rng, seconds=60.0)
     ratio = of_force(run) / of_a_smooth_record(60.0)
@@ -156,8 +156,8 @@ def test_a_minute_of_a_square_wave(record, rng) -> None:
     with warnings.catch_warnings():
         # a spectrum of lines looks like another resonance, or none, where no steps are looked for
         warnings.filterwarnings("ignore", ".* (another natural frequency|does not ring)", DataQualityWarning)
-        rivals = [estimate_force(run, T128, bandwidth=b).only.values for b in (200.0, 250.0, 300.0, 350.0, 400.0)]
-    best = min(rms_of([(values - force)[inside]]) for values in rivals)
+        inverses = [estimate_force(run, T128, bandwidth=b).only.values for b in (200.0, 250.0, 300.0, 350.0, 400.0)]
+    best = min(rms_of([(values - force)[inside]]) for values in inverses)
     record("error of the best band-limited inverse over this one's, a minute of a square wave", best / error, 1.0)
     assert error < best
 

@@ -1,4 +1,4 @@
-"""Each rival at its customary setting on the record that suits it best, beside this estimator."""
+"""Each baseline method at its customary setting on the record that suits it best, beside this estimator."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ RECORDS = 4
 
 
 def scores(home: str) -> dict[str, float]:
-    """Rms error of every rival, the better of its two settings, on one home ground."""
+    """Rms error of every baseline method, the better of its two settings, on one home ground."""
     load, noise, accelerometer = HOME[home]
     entropy = new_seed()
     print(f"seed {entropy}")  # noqa: T201 - shown when a benchmark fails
@@ -60,7 +60,7 @@ def scores(home: str) -> dict[str, float]:
     return found
 
 
-def test_every_rival_that_can_be_tuned_has_a_home_ground() -> None:
+def test_every_baseline_method_that_can_be_tuned_has_a_home_ground() -> None:
     assert set(HOME) == {*TUNED, "central differences"}
     assert set(HOME) < set(BASELINES)
 
@@ -73,7 +73,7 @@ def test_first_or_tied_on_the_home_ground_of(home: str, record) -> None:
     # tied is within 5 %: the scatter of an error with some 100 independent values. A tone has two a record, hence more
     # records than one
     record(
-        f"best rival, tuned on the truth, over this estimator: home of {home}",
+        f"best baseline method, tuned on the truth, over this estimator: home of {home}",
         best / found[THIS],
         0.95,
     )

@@ -132,7 +132,7 @@ def test_momentary_deviation_of_table_2_is_sixty_newtons():
     assert paper.deviation.value / 100 * CABLE_CUT.half_range.value == 60.0
 
 
-def test_every_rival_of_the_tables_is_worse_than_the_paper():
+def test_every_baseline_method_of_the_tables_is_worse_than_the_paper():
     for table in (TABLE_1, TABLE_2):
         paper = max(row.deviation.high for row in table if row.source == "paper")
         assert all(row.deviation.low > paper for row in table if row.source != "paper")

@@ -43,7 +43,7 @@ HIGHEST_CORNER: Final = 0.49
 """Highest corner of a filter over the sampling rate; a digital filter has none at half of it."""
 
 THIS: Final = "this estimator"
-"""Name of the program's own estimate among its rivals."""
+"""Name of the program's own estimate among the baseline methods."""
 
 FEWEST_PERIODS: Final = 10
 """Periods that the record must hold of the sine that it is taken for."""
@@ -51,14 +51,14 @@ FEWEST_PERIODS: Final = 10
 
 @dataclass(frozen=True, slots=True)
 class BaselineSettings:
-    """What a rival may be told.
+    """What a baseline method may be told.
 
     Attributes
     ----------
     gravity
         Local acceleration of gravity [m/s^2].
     tuning
-        The rival's one tuning number [Hz]; None for its customary setting.
+        The method's one tuning number [Hz]; None for its customary setting.
     response
         Measured response of the balance; None for that of the dynamics.
     still
@@ -73,12 +73,12 @@ class BaselineSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BaselineEstimate:
-    """The force as one rival has it.
+    """The force as one baseline method has it.
 
     Attributes
     ----------
     name
-        Name of the rival.
+        Name of the method.
     values
         Force, shape (n,) [N]; NaN where it could not be run.
     settings
@@ -252,7 +252,7 @@ def band_limited(recording: Recording, dynamics: ModalModel, settings: BaselineS
 def _inverse(
     recording: Recording, dynamics: ModalModel, settings: BaselineSettings, *, bandwidth: float | None
 ) -> ComponentForce:
-    """A direct inverse; what the record says against the dynamics is not asked, as a rival does not."""
+    """A direct inverse; what the record says against the dynamics is not asked, as a baseline method does not."""
     balance = _balance(dynamics)
     record = force_record(without_gaps(recording, balance.component), balance, gravity=settings.gravity)
     one = record.component_records(record.loads)[balance.component]
@@ -277,7 +277,7 @@ BASELINES: Final[Mapping[str, Estimator]] = {
     "band-limited inverse": band_limited,
     THIS: this_estimator,
 }
-"""Every rival by its name, the program's own estimate last."""
+"""Every baseline method by its name, the program's own estimate last."""
 
 TUNED: Final = (
     "low-pass",
@@ -288,7 +288,7 @@ TUNED: Final = (
     "FIR deconvolution",
     "band-limited inverse",
 )
-"""Rivals with one tuning number."""
+"""Baseline methods with one tuning number."""
 
 
 def estimates(
@@ -297,10 +297,10 @@ def estimates(
     *,
     settings: BaselineSettings | None = None,
     truth: Truth | None = None,
-    rivals: Mapping[str, Estimator] = BASELINES,
+    baselines: Mapping[str, Estimator] = BASELINES,
     tuned: Sequence[str] = TUNED,
 ) -> list[BaselineEstimate]:
-    """Run every rival on one record; with a truth, those with a tuning number a second time at their best.
+    """Run every baseline method on one record; with a truth, those with a tuning number a second time at their best.
 
     Parameters
     ----------
@@ -311,9 +311,9 @@ def estimates(
     settings
         Gravity and a measured response, where there is one; its tuning number is not used.
     truth
-        What was applied; the second setting of a rival is the one with the least rms deviation from it.
-    rivals, tuned
-        The rivals by name, and which of them have a tuning number.
+        What was applied; the second setting of a method is the one with the least rms deviation from it.
+    baselines, tuned
+        The methods by name, and which of them have a tuning number.
     """
     settings = replace(settings or BaselineSettings(), tuning=None)
     recording = replace(corrected(recording), from_outputs=False)  # what is compared are values
@@ -322,31 +322,31 @@ def estimates(
     if settings.response is None:
         settings = replace(settings, response=model_response(dynamics, recording.rate))
     found = []
-    for name, rival in PROGRESS.each(rivals.items(), "method"):
-        customary = _attempt(name, rival, recording, dynamics, settings)
+    for name, baseline in PROGRESS.each(baselines.items(), "method"):
+        customary = _attempt(name, baseline, recording, dynamics, settings)
         found.append(customary)
         if truth is not None and customary.ran and name in tuned:
-            found.append(_at_its_best(rival, recording, dynamics, settings, truth=truth))
+            found.append(_at_its_best(baseline, recording, dynamics, settings, truth=truth))
     return found
 
 
 def _attempt(
-    name: str, rival: Estimator, recording: Recording, dynamics: ModalModel, settings: BaselineSettings
+    name: str, baseline: Estimator, recording: Recording, dynamics: ModalModel, settings: BaselineSettings
 ) -> BaselineEstimate:
     try:
-        return rival(recording, dynamics, settings)
+        return baseline(recording, dynamics, settings)
     except (FitError, ValueError) as problem:  # what cannot be run is a row of the table, not the end of it
         nothing = np.full(recording.samples, np.nan)
         return BaselineEstimate(name, nothing, lacking=" ".join(str(problem).split()))
 
 
 def _at_its_best(
-    rival: Estimator, recording: Recording, dynamics: ModalModel, settings: BaselineSettings, *, truth: Truth
+    baseline: Estimator, recording: Recording, dynamics: ModalModel, settings: BaselineSettings, *, truth: Truth
 ) -> BaselineEstimate:
     """Choose the tuning number on the truth: a search over decades, then within the best step."""
 
     def miss(exponent: float) -> float:
-        return truth.score(rival(recording, dynamics, replace(settings, tuning=float(np.exp(exponent)))).values).rms
+        return truth.score(baseline(recording, dynamics, replace(settings, tuning=float(np.exp(exponent)))).values).rms
 
     highest = HIGHEST_CORNER * recording.rate
     lowest = max(min(dynamics.natural_frequency / 30, highest / 10), 2 / recording.duration)
@@ -356,7 +356,7 @@ def _at_its_best(
     around = float(grid[max(best - 1, 0)]), float(grid[min(best + 1, grid.size - 1)])
     fine = minimize_scalar(miss, bounds=around, method="bounded", options={"maxiter": 16})
     exponent = float(fine.x) if fine.fun < scores[best] else float(grid[best])
-    found = rival(recording, dynamics, replace(settings, tuning=float(np.exp(exponent))))
+    found = baseline(recording, dynamics, replace(settings, tuning=float(np.exp(exponent))))
     return replace(found, oracle=True)
 
 

@@ -54,7 +54,7 @@ TUNED: Final = (
     "band-limited inverse, diagonal",
     "band-limited inverse, coupled",
 )
-"""Rivals with one tuning number."""
+"""Baseline methods with one tuning number."""
 
 ONE_COMPONENT: Final = "knows one component only: what the others' forces ring in it stays"
 """Note on a method that takes no other reading."""
@@ -62,7 +62,7 @@ ONE_COMPONENT: Final = "knows one component only: what the others' forces ring i
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Component:
-    """One component of a record, with what its rivals need.
+    """One component of a record, with what its baseline methods need.
 
     Attributes
     ----------
@@ -104,7 +104,7 @@ class _Component:
         given = recording if with_gaps else without_gaps(recording, self.name)
         return CoupledRecord.of(given, self.diagonal).component_record(self.name)
 
-    def rivals(self) -> dict[str, Estimator]:
+    def baselines(self) -> dict[str, Estimator]:
         """All of them by name."""
         one: dict[str, Estimator] = {
             "low-pass": low_pass,
@@ -116,7 +116,7 @@ class _Component:
         }
         return {
             "raw reading": self.raw,
-            **{name: _noted(rival) for name, rival in one.items()},
+            **{name: _noted(baseline) for name, baseline in one.items()},
             "central differences, diagonal": self.differences_by_diagonal,
             "central differences, coupled": self.differences,
             "band-limited inverse, diagonal": self.limited_by_diagonal,
@@ -216,7 +216,7 @@ def estimates_of_coupled(
     settings: BaselineSettings | None = None,
     truths: Mapping[str, Truth] | None = None,
 ) -> dict[str, list[BaselineEstimate]]:
-    """Run every rival on some components of one record; with truths, those with a tuning number also at their best.
+    """Run every baseline method on some components of one record; with truths, the tunable ones also at their best.
 
     Parameters
     ----------
@@ -249,17 +249,17 @@ def estimates_of_coupled(
             exact.own_response(name),
             settings=settings,
             truth=(truths or {}).get(name),
-            rivals=part.rivals(),
+            baselines=part.baselines(),
             tuned=TUNED,
         )
     return found
 
 
-def _noted(rival: Estimator) -> Estimator:
-    """A rival that says that it knows one component only."""
+def _noted(baseline: Estimator) -> Estimator:
+    """A baseline method that says that it knows one component only."""
 
     def run(recording: Recording, dynamics: ModalModel, settings: BaselineSettings) -> BaselineEstimate:
-        found = rival(recording, dynamics, settings)
+        found = baseline(recording, dynamics, settings)
         return replace(found, note=f"{found.note}; {ONE_COMPONENT}")
 
     return run

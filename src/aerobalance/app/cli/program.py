@@ -58,7 +58,10 @@ def demo(
         int | None, typer.Option("--seed", help="Seed of the simulated noise; fresh when not given.")
     ] = None,
     tables: Annotated[
-        bool, typer.Option("--tables", help="Make the paper's Tables 1 and 2 instead, with every rival (tables.html).")
+        bool,
+        typer.Option(
+            "--tables", help="Make the paper's Tables 1 and 2 instead, by every baseline method (tables.html)."
+        ),
     ] = False,
     six: Annotated[
         bool, typer.Option("--six", help="Six coupled components instead, from mV/V to forces (six.html).")
@@ -77,7 +80,7 @@ def demo(
     if tables:
         from aerobalance.app.demos.tables import run_tables
 
-        show(lambda: run_tables(out, seed=seed), manner, doing="running every rival")
+        show(lambda: run_tables(out, seed=seed), manner, doing="running every baseline method")
         return
     from aerobalance.app.demos.demo import run_demo
 

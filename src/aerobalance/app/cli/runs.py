@@ -223,7 +223,7 @@ def compare(
     channel_map: Map = None,
     manner: Manner,
 ) -> None:
-    """Show this estimator and its rivals side by side on one record, with their errors where the truth is given."""
+    """Show the estimator and the baseline methods side by side on one record, with errors where the truth is given."""
     from aerobalance.app.commands import compare as command
     from aerobalance.app.commands.shared import amounts
 
@@ -244,5 +244,5 @@ def compare(
             out=out,
         ),
         manner,
-        doing="running the rivals",
+        doing="running the baseline methods",
     )

@@ -166,7 +166,7 @@ def _cell(value: float) -> str:
 
 
 def table_of(result: Result) -> list[Result]:
-    """One row per rival and setting, one number per component; what could not be run has a reason instead."""
+    """One row per method and setting, one number per component; what could not be run has a reason instead."""
     parts: Mapping[str, Result] = result["components"]
     percent = _in_percent(parts.values())
     order = dict.fromkeys((row["name"], row["setting"]) for part in parts.values() for row in part["rivals"])

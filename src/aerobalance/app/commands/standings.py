@@ -29,7 +29,7 @@ def standings(
     Parameters
     ----------
     found
-        The rivals' estimates, the program's own among them.
+        The estimates of the baseline methods, the program's own among them.
     truth
         What was applied, where it is known.
     half_range
@@ -117,15 +117,15 @@ def _place(own: Result, others: Sequence[Result], measure: str, *, unit: str) ->
             continue
         best = min(field, key=lambda row: abs(row[measure]))
         theirs = abs(best[measure])
-        rival = f"{best['name']}, {theirs:.3g} {unit}"
+        best_other = f"{best['name']}, {theirs:.3g} {unit}"
         if tuned and mine > theirs * TIED:
-            texts.append(f"NOT first beside methods tuned on the truth: {rival}")
+            texts.append(f"NOT first beside methods tuned on the truth: {best_other}")
         elif tuned:
             continue
         elif mine <= theirs / TIED:
-            texts.append(f"{THIS} is first, {mine:.3g} {unit}; next is {rival}")
+            texts.append(f"{THIS} is first, {mine:.3g} {unit}; next is {best_other}")
         elif mine <= theirs * TIED:
-            texts.append(f"{THIS} is tied, {mine:.3g} {unit}, with {rival}")
+            texts.append(f"{THIS} is tied, {mine:.3g} {unit}, with {best_other}")
         else:
-            texts.append(f"{THIS} is NOT first, {mine:.3g} {unit}; first is {rival}")
+            texts.append(f"{THIS} is NOT first, {mine:.3g} {unit}; first is {best_other}")
     return "; ".join(texts)

@@ -1,4 +1,4 @@
-"""Tables 1 and 2 of [Gorbushin2020]_ made anew: every rival that can be run, on both experiments, simulated.
+"""Tables 1 and 2 of [Gorbushin2020]_ made anew: every baseline method that can be run, on both experiments, simulated.
 
 What others printed stands beside what is measured here. A simulated record has a known truth, so that each method is
 judged by the force that was applied and not by another method.
@@ -97,7 +97,7 @@ class Experiment:
 
 
 def run_tables(out: Path, *, seed: int | None = None) -> Result:
-    """Run all experiments, judge every rival on each, and write `tables.html`.
+    """Run all experiments, judge every baseline method on each, and write `tables.html`.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def _identified(balance: PublishedBalance, generator: np.random.Generator) -> tu
 
 
 def _judged(experiment: Experiment, dynamics: Dynamics, response: MeasuredResponse) -> Result:
-    """All rivals on one experiment."""
+    """All baseline methods on one experiment."""
     recording = experiment.simulation.recording
     truth = Truth.of(experiment.simulation.applied, rate=recording.rate, natural_frequency=dynamics.natural_frequency)
     found = estimates(recording, dynamics, settings=BaselineSettings(response=response), truth=truth)
@@ -231,7 +231,7 @@ def _printed(table: Sequence[Any]) -> list[Result]:
 
 
 def _column_table(experiments: Sequence[Result], key: str) -> list[Result]:
-    """One row per rival and setting, one entry per experiment that has such a deviation."""
+    """One row per method and setting, one entry per experiment that has such a deviation."""
     rows: dict[tuple[str, str], dict[str, float]] = {}
     for experiment in experiments:
         for row in experiment["rivals"]:

@@ -26,7 +26,7 @@ PERIODS: Final = 40
 """Natural periods that the figure shows, where that is less."""
 
 SHOWN: Final = 2
-"""Rivals in the figure beside the raw reading and this estimator."""
+"""Baseline methods in the figure beside the raw reading and this estimator."""
 
 
 def write_comparison(path: Path, result: dict[str, Any], found: Comparison, *, inputs: Sequence[Path]) -> None:
@@ -92,11 +92,11 @@ def components_figure(
     legend(axes[0], colours, "lower center", columns=4)
     axes[0].get_legend().set_bbox_to_anchor((0.5, 1.0))  # type: ignore[union-attr]
     figure.align_ylabels()
-    return inline(figure, "rivals", "The forces and moments by the rivals and by this estimator")
+    return inline(figure, "baselines", "The forces and moments by baseline methods and by this estimator")
 
 
 def best(found: Sequence[BaselineEstimate], truth: Truth | None) -> list[BaselineEstimate]:
-    """Choose the rivals to draw: the nearest to the truth, or without one the low-pass and the central differences."""
+    """Choose the methods to draw: the nearest to the truth, or without one the low-pass and central differences."""
     others = [row for row in found if row.ran and row.name not in (THIS, "raw reading")]
     if truth is None:
         order = ["band-limited inverse", "low-pass"]
@@ -132,7 +132,7 @@ def comparison_figure(
     truth: Truth | None,
     window: slice,
 ) -> str:
-    """Draw truth, raw reading, the best rivals and this estimator, and their errors on a logarithmic axis."""
+    """Draw truth, raw reading, the best other methods and this estimator, and their errors on a logarithmic axis."""
     colours, unit = PLACE_HOLDERS, si_unit(dynamics.component).replace("*", "·")
     figure, (top, bottom) = empty_figure(colours, (7.6, 6.0), rows=2, heights=(1.4, 1), share=True)
     time = recording.time[window]
@@ -159,7 +159,7 @@ def comparison_figure(
     bottom.set(ylabel=f"{words},\nrms over a period [{unit}]", xlabel="time [s]", xlim=(time[0], time[-1]))
     bottom.yaxis.set_major_formatter(lambda value, _: f"{value:g}")  # powers would need mathematical type
     figure.align_ylabels()
-    return inline(figure, "rivals", "The force by the rivals and by this estimator, and their errors below")
+    return inline(figure, "baselines", "The force by baseline methods and by this estimator, and their errors below")
 
 
 def _running_rms(error: Array, period: int) -> Array:

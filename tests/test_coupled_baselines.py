@@ -49,7 +49,7 @@ def test_a_mode_that_does_not_oscillate_is_refused() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:.* shows turning")  # the pair is pitched for its weight alone
-def test_every_rival_on_a_component(rng) -> None:
+def test_every_baseline_method_on_a_component(rng) -> None:
     force, felt, pitch = shaken(rng, EXACT)
     recording = recording_of(felt + NOISE * rng.normal(size=felt.shape), pitch=pitch)
     truths = {"PM": Truth.of(force[:, 1], rate=RATE, natural_frequency=60.0)}
@@ -87,8 +87,8 @@ def test_differences_of_all_readings_undo_the_coupling(rng) -> None:
     assert np.max(apart) > 3 * np.max(error)
 
 
-def test_rivals_take_declared_delays_into_account() -> None:
-    """Channels read late, and said to be, give every rival what the same readings in time give it."""
+def test_baseline_methods_take_declared_delays_into_account() -> None:
+    """Channels read late, and said to be, give every baseline method what the same readings in time give it."""
     late, generator = 12, np.random.default_rng(7)  # samples
     dynamics = replace(EXACT, mass=replace(EXACT.mass, covariance=np.zeros((10, 10))))
     count = 3000 + late

@@ -1,4 +1,4 @@
-"""Every rival against closed forms and on its home ground; scores and the truth's clock."""
+"""Every baseline method against closed forms and on its home ground; scores and the truth's clock."""
 
 import warnings
 from dataclasses import replace
@@ -245,8 +245,8 @@ def smooth(generator, sensors=None, **more):
 def test_inverses_are_at_home_under_a_broadband_load(rng):
     run = smooth(rng)
     errors = {
-        rival.__name__: np.std(inner(rival(run.recording, T128, BaselineSettings()).values - run.applied))
-        for rival in (raw_reading, low_pass, fir_deconvolution, band_limited, central_differences)
+        method.__name__: np.std(inner(method(run.recording, T128, BaselineSettings()).values - run.applied))
+        for method in (raw_reading, low_pass, fir_deconvolution, band_limited, central_differences)
     }
     # noise gain of the inverse to twice f0 is 0.5, of central differences 35 (METHOD of the paper's section 5)
     assert errors["band_limited"] < 5.0, errors
@@ -276,9 +276,9 @@ def test_gravity_and_ground_motion_are_taken_off(rng):
         ground_acceleration=band_noise(rng, low=3, high=40, rms=1.0, period=4.0),
         pitch=lambda t: 0.1 * np.sin(2 * np.pi * 0.3 * t),
     )
-    for rival in (fir_deconvolution, central_differences, band_limited):
-        error = inner(rival(run.recording, T128, BaselineSettings()).values - run.applied)
-        assert np.std(error) < 0.3 * 177.87, rival.__name__  # the ground's motion alone is 178 N rms
+    for method in (fir_deconvolution, central_differences, band_limited):
+        error = inner(method(run.recording, T128, BaselineSettings()).values - run.applied)
+        assert np.std(error) < 0.3 * 177.87, method.__name__  # the ground's motion alone is 178 N rms
 
 
 def test_missing_channels_are_named():
