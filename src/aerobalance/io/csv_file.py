@@ -174,7 +174,7 @@ def _compare_clocks(path: Path, found: TextLayout, given: Layout) -> None:
 def _check_unit_of_times(path: Path, clock: FoundClock, label: str, *, source: str, said: float) -> None:
     """Refuse a column of times that disagrees with a rate by just what another unit of time makes."""
     fitting = [unit for unit in UNITS_OF_TIME if clock.unit and replace(clock, unit=unit).agrees(said)]
-    if not fitting or clock.stamps or clock.rival is not None or clock.rate is None:
+    if not fitting or clock.stamps or clock.second_time is not None or clock.rate is None:
         return
     unit = fitting[0]
     raise ReadError(
@@ -191,8 +191,8 @@ def _clocked(raw: RawColumns, found: TextLayout, *, named: bool) -> RawColumns:
     """Give the columns of a file the clock that was recognised; the column of times is called time if `named`."""
     clock, stated = found.clock, found.stated
     by_column = clock is not None and clock.unit and not (clock.stamps and stated)
-    if clock is not None and clock.rival is not None:
-        places = " and ".join(f"{i + 1} ({found.labels[i]!r})" for i in (clock.column, clock.rival))
+    if clock is not None and clock.second_time is not None:
+        places = " and ".join(f"{i + 1} ({found.labels[i]!r})" for i in (clock.column, clock.second_time))
         raise ReadError(
             raw.path,
             "header",

@@ -64,11 +64,9 @@ def _clock(headings: Sequence[Heading], time: Heading | None, found: TextLayout 
     clock = None if found is None else found.clock
     stated = None if found is None else found.stated
     lines = []
-    if clock is not None and clock.rival is not None:
-        other = quoted(headings[clock.rival].label)
-        lines.append(
-            f"# column {clock.rival + 1} ({other}) is a time too, of another rate: a map for the channels of each"
-        )
+    if clock is not None and clock.second_time is not None:
+        second, label = clock.second_time, quoted(headings[clock.second_time].label)
+        lines.append(f"# column {second + 1} ({label}) is a time too, of another rate: a map for the channels of each")
     if time is not None and not (clock is not None and clock.stamps and stated is not None):
         key = _key(time)
         note = "date and time; seconds since the first" if clock is not None and clock.stamps else ""

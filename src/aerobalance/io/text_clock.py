@@ -87,7 +87,7 @@ class FoundClock:
         Whether it holds date-time stamps; the unit is s then.
     named
         Whether its name or its unit says that it is a time.
-    rival
+    second_time
         Position of a second column of times that steps otherwise; None where there is none.
     spread
         Difference of the longest and the shortest step, over the time that the head of the table spans [1].
@@ -98,7 +98,7 @@ class FoundClock:
     interval: float
     stamps: bool = False
     named: bool = True
-    rival: int | None = None
+    second_time: int | None = None
     spread: float = 0.0
 
     @property
@@ -161,20 +161,20 @@ def find_clock(
             bare.append(FoundClock(i, "", usual, named=False))
     if found:
         best = next((clock for clock in found if is_time_name(names[clock.column])), found[0])
-        return _with_rival(best, [clock for clock in found if is_time_name(names[clock.column])])
+        return _with_second_time(best, [clock for clock in found if is_time_name(names[clock.column])])
     named = [clock for clock in bare if clock.named]
     if named or (bare and not stamped):
         return (named or bare)[0]
     return _of_stamps(stamped, names, rows)
 
 
-def _with_rival(best: FoundClock, named: list[FoundClock]) -> FoundClock:
+def _with_second_time(best: FoundClock, named: list[FoundClock]) -> FoundClock:
     """Add a second column of times that runs at another rate."""
     if best.rate is None:
         return best
     for other in named:
         if other.rate is not None and abs(other.rate / best.rate - 1) > ALIKE:
-            return replace(best, rival=other.column)
+            return replace(best, second_time=other.column)
     return best
 
 

@@ -30,7 +30,7 @@ LEAST_CORRELATION: Final = 0.5
 PULLED: Final = 0.25
 """Standard uncertainty of the offset in samples where the slope that both read is but noise: uniform over a sample."""
 
-RIVAL: Final = 0.95
+SECOND_PEAK: Final = 0.95
 """Height of a second peak of the correlation, over that of the first, from which on the lag is not certain."""
 
 
@@ -59,7 +59,7 @@ def _lags(pair: Pair) -> Line:
         inside = energy[length : length + cross.size] - energy[: cross.size]
         like = cross / np.sqrt(np.maximum(inside, 1e-3 * inside.max()) * (part @ part))
         peak = int(np.argmax(like))
-        found.append((begin, peak, float(like[peak]), _rival(like, peak)))
+        found.append((begin, peak, float(like[peak]), _second_peak(like, peak)))
     good = [one for one in found if one[2] > LEAST_CORRELATION]
     if not good:
         best = max((one[2] for one in found), default=0.0)
@@ -67,12 +67,12 @@ def _lags(pair: Pair) -> Line:
             f"{pair.by} in {pair.base.name} and in {pair.other.name} are not alike (correlation {best:.2f} at best; "
             f"{LEAST_CORRELATION} is needed): is it the same event, and the same quantity?"
         )
-    if all(one[3] > RIVAL for one in good):
+    if all(one[3] > SECOND_PEAK for one in good):
         raise FitError(
             f"{pair.by} repeats itself: several offsets between {pair.base.name} and {pair.other.name} fit as well; "
             "align by a trigger, or by a channel that does not repeat"
         )
-    sure = [one for one in good if one[3] <= RIVAL]
+    sure = [one for one in good if one[3] <= SECOND_PEAK]
     x = np.array([pair.other.start + (begin + length / 2) / rate for begin, *_ in sure])
     y = np.array([pair.base.start + (peak + length / 2) / rate for _, peak, *_ in sure])
     lags = y - x
@@ -120,7 +120,7 @@ def _likeliest(one: Array, two: Array, *, least: int) -> tuple[int, float]:
     return int(lags[best]), float(like[best])
 
 
-def _rival(like: Array, peak: int) -> float:
+def _second_peak(like: Array, peak: int) -> float:
     """Height of the highest peak apart from the one that was found, over that."""
     below = np.flatnonzero(like < 0.5 * like[peak])
     right = below[below > peak]

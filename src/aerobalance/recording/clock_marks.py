@@ -81,8 +81,8 @@ def _matching(pair: Pair, one: Array, two: Array, least: float) -> int:
     for k in range(many.size - few.size + 1):
         gaps = np.diff(many[k : k + few.size]) - np.diff(few)
         errors.append(float(np.sqrt(np.mean(gaps**2))) if gaps.size else 0.0)
-    best, rival = np.argsort(errors, kind="stable")[:2]
-    if errors[best] > 10 * least or errors[rival] < 4 * max(errors[best], least):
+    best, second = np.argsort(errors, kind="stable")[:2]
+    if errors[best] > 10 * least or errors[second] < 4 * max(errors[best], least):
         raise FitError(
             f"{pair.by} has {one.size} edge(s) in {pair.base.name} and {two.size} in {pair.other.name}, and their "
             "distances do not tell which belong together; cut the files to the same edges, or align by correlation"

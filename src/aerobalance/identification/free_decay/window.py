@@ -172,8 +172,8 @@ def _believed(forced: Ring, other: Ring, evidence: float) -> bool:
     left = other.residuals[np.isin(other.time, forced.time)]
     if left.size < forced.time.size:  # it leaves out what the force explains
         return True
-    rival = Band(forced).minus_log_likelihood(left)
-    return forced.force.objective < rival - evidence
+    of_other = Band(forced).minus_log_likelihood(left)
+    return forced.force.objective < of_other - evidence
 
 
 def _behind_release(ring: Ring, time: Array, values: Array, onset: float) -> Ring | None:
