@@ -17,7 +17,7 @@ from aerobalance.app.cli.program import app
 from aerobalance.app.options import OPTIONS, as_options
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.checks.misfit import Misfit, misfit_of
+from aerobalance.estimation.checks.other_dynamics import OtherDynamics, other_dynamics_in
 from aerobalance.estimation.force import force_record
 from aerobalance.identification.free_decay.decay_doubts import _way_to_take_it_up
 from aerobalance.identification.free_decay.event import first_look
@@ -146,7 +146,9 @@ DYNAMICS = Dynamics("AF", 20.0, 20.0 * (2 * np.pi * 60) ** 2, 2 * 0.01 * 20 * 2 
 def test_a_missing_mode_that_is_hardly_told_is_named_without_numbers():
     """As it was met in a real record: -55 times a steady load, and more ringing than the load had."""
     missing = Mode(15.14, 0.01, -55.0)
-    sentence = Misfit("AF", missing=missing, u_frequency=0.1, u_share=100.0, size=None).doubts(DYNAMICS)[0].doubt.text
+    sentence = (
+        OtherDynamics("AF", missing=missing, u_frequency=0.1, u_share=100.0, size=None).doubts(DYNAMICS)[0].doubt.text
+    )
     assert "15.14 Hz (u = 0.1 Hz), whose share of a steady load cannot be told from this record" in sentence
     assert "it swings;" in sentence
     assert "e+" not in sentence
@@ -154,10 +156,10 @@ def test_a_missing_mode_that_is_hardly_told_is_named_without_numbers():
 
 def test_a_line_of_hum_is_no_damping_ratio():
     """As met in a real record: 60 Hz near the natural frequency, taken for a damping ratio of 5e-6."""
-    sentence = Misfit("AF", frequency=(0.01, 1e-4), damping=(-0.99952, 0.01)).doubts(DYNAMICS)[0].doubt.text
+    sentence = OtherDynamics("AF", frequency=(0.01, 1e-4), damping=(-0.99952, 0.01)).doubts(DYNAMICS)[0].doubt.text
     assert "another natural frequency, 60.6 Hz and not 60 Hz" in sentence
     assert "another damping ratio, less than 0.0005 and not 0.01" in sentence
-    sentence = Misfit("AF", damping=(0.5, 0.01)).doubts(DYNAMICS)[0].doubt.text
+    sentence = OtherDynamics("AF", damping=(0.5, 0.01)).doubts(DYNAMICS)[0].doubt.text
     assert "another damping ratio, 0.015 and not 0.01" in sentence
 
 
@@ -176,7 +178,7 @@ def test_no_ringing_is_said_to_be_more_than_the_load_has(seed):
         "ground_acceleration": Channel("ground_acceleration", ground, "m/s^2", noise=0.01),
     }
     recording = Recording.from_columns(time, channels, name="run")
-    found = misfit_of(force_record(recording, DYNAMICS).component_record("AF"), noise=1.0)
+    found = other_dynamics_in(force_record(recording, DYNAMICS).component_record("AF"), noise=1.0)
     assert found.size is None or found.size <= 1.1
     for one in found.doubts(DYNAMICS):
         for percent in re.findall(r"(-?[\d.e+]+) % of a steady load", one.doubt.text):

@@ -377,7 +377,7 @@ def some_mode(generator, frequency: float) -> Mode:
     return Mode(frequency * generator.uniform(0.85, 1.15), generator.uniform(0.006, 0.012), share)
 
 
-def misfit(found: Dynamics, truth: Dynamics) -> tuple[np.ndarray, float]:
+def normalised_errors(found: Dynamics, truth: Dynamics) -> tuple[np.ndarray, float]:
     """Errors of the parameters over their standard uncertainties, and chi2 of all; the delay is left out of both."""
     order = np.argsort([mode.natural_frequency for mode in found.further_modes])
     places = [0, 1, 2, *(4 + 3 * number + i for number in order for i in range(3))]
@@ -400,7 +400,7 @@ def test_second_mode_is_found_within_its_uncertainty(mass: float | None, modes: 
         assert not any("further mode" in text for text in texts), texts
         (mode,) = fit.dynamics.further_modes
         assert mode.natural_frequency == pytest.approx(second.natural_frequency, rel=0.01)
-        scores, total = misfit(fit.dynamics, LARGE.with_modes(second))
+        scores, total = normalised_errors(fit.dynamics, LARGE.with_modes(second))
         # A normal number is beyond 6 once in 5e8. The uncertainties themselves scatter by some percent.
         assert np.all(np.abs(scores) < 6), scores
         assert total < 1.5 * chi2.isf(1e-6, scores.size), total
@@ -409,7 +409,7 @@ def test_second_mode_is_found_within_its_uncertainty(mass: float | None, modes: 
 def test_as_many_modes_as_are_asked_for_are_found_in_a_short_record(rng):
     second = Mode(165.0, 0.008, 0.07)
     fit, _ = said(several(rng, second, seconds=2.0), modes=2)
-    scores, _ = misfit(fit.dynamics, LARGE.with_modes(second))
+    scores, _ = normalised_errors(fit.dynamics, LARGE.with_modes(second))
     assert np.all(np.abs(scores) < 6), scores
 
 
@@ -417,7 +417,7 @@ def test_three_modes_are_found(rng):
     further = some_mode(rng, 160.0), some_mode(rng, 280.0)
     fit, _ = said(several(rng, *further), modes="auto")
     assert len(fit.dynamics.further_modes) == 2, fit.notes
-    scores, total = misfit(fit.dynamics, LARGE.with_modes(*further))
+    scores, total = normalised_errors(fit.dynamics, LARGE.with_modes(*further))
     assert np.all(np.abs(scores) < 6), scores
     assert total < 1.5 * chi2.isf(1e-6, scores.size), total
 
@@ -428,7 +428,9 @@ def test_scatter_of_the_second_mode_is_stated(rng):
     draws, second = trials(6, 30), Mode(165.0, 0.008, -0.05)
     scores, totals = [], []
     for _ in range(draws):
-        score, total = misfit(said(several(rng, second, seconds=6.0), modes=2)[0].dynamics, LARGE.with_modes(second))
+        score, total = normalised_errors(
+            said(several(rng, second, seconds=6.0), modes=2)[0].dynamics, LARGE.with_modes(second)
+        )
         scores.append(score)
         totals.append(total)
     # Mean squares of n normal numbers follow chi2 / n; six of them are tested, each at 1e-6 on either side.

@@ -23,7 +23,7 @@ from aerobalance.recording.linalg import symmetric_root
 ROWS: Final = 2048
 """Samples worked on at a time."""
 
-MISFIT_LENGTH: Final = 0.5
+LACK_OF_FIT_LENGTH: Final = 0.5
 """Distance of two loads, over half of range, along which what the terms of a matrix cannot follow stays alike.
 
 Twelve random balances with products and absolute values of loads were calibrated with the terms of second order alone.
@@ -96,8 +96,8 @@ def covariance_at_points(errors: MatrixErrors, names: tuple[str, ...], *, zero: 
 
     The errors of the coefficients are the same at all points: they go with the load, and nothing of them is left at
     the load that the zero was read under, as loads count from there. So does what the terms cannot follow, which
-    stays alike for `MISFIT_LENGTH`. It is the scatter of the calibration's residuals beyond the noise of its readings,
-    and is known where that noise is.
+    stays alike for `LACK_OF_FIT_LENGTH`. It is the scatter of the calibration's residuals beyond the noise of its
+    readings, and is known where that noise is.
 
     Parameters
     ----------
@@ -117,11 +117,11 @@ def covariance_at_points(errors: MatrixErrors, names: tuple[str, ...], *, zero: 
     found = (changes @ coefficient_covariance(matrix) @ changes.T).reshape(n, r, n, r)
     normalised = own / matrix.load_scale
     distance = np.sum((normalised[:, None] - normalised) ** 2, axis=2)
-    alike = np.exp(-0.5 * distance / MISFIT_LENGTH**2)
+    alike = np.exp(-0.5 * distance / LACK_OF_FIT_LENGTH**2)
     alike = alike[:-1, :-1] - alike[:-1, -1:] - alike[-1:, :-1] + alike[-1, -1]
     noise = matrix.noise_of_readings
-    misfit = np.where(noise > 0, np.sqrt(np.maximum(matrix.residual_deviation**2 - noise**2, 0.0)), 0.0)
-    between = matrix.residual_correlation * np.outer(misfit, misfit)
+    lack_of_fit = np.where(noise > 0, np.sqrt(np.maximum(matrix.residual_deviation**2 - noise**2, 0.0)), 0.0)
+    between = matrix.residual_correlation * np.outer(lack_of_fit, lack_of_fit)
     return np.asarray(found + np.einsum("nri,ij,msj,nm->nrms", gain, between, gain, alike, optimize=True))
 
 

@@ -350,7 +350,7 @@ def _finished(lines: Sequence[str], grid: _TextGrid, given: Layout) -> TextLayou
     sign, width = grid.separator, grid.width
     header = grid.header if given.header_line is None else given.header_line - 1
     if header is None:
-        header = _misfit(lines, grid)
+        header = _uneven_header(lines, grid)
     labels = [str(i + 1) for i in range(width)]
     if header is not None and 0 <= header < len(lines):
         labels = _header_cells(lines[header], sign, width)
@@ -382,7 +382,7 @@ def _finished(lines: Sequence[str], grid: _TextGrid, given: Layout) -> TextLayou
     )
 
 
-def _misfit(lines: Sequence[str], grid: _TextGrid) -> int | None:
+def _uneven_header(lines: Sequence[str], grid: _TextGrid) -> int | None:
     """A line right above the rows that seems to be their header though its cells are not as many."""
     above = next((i for i in range(grid.start - 1, -1, -1) if lines[i].strip()), None)
     if above is None:

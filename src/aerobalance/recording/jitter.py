@@ -206,7 +206,7 @@ def _solved(values: Array, places: Array, samples: int, penalty: float) -> Array
 
 
 def _least_squares(model: csr_array, values: Array, penalty: float) -> Array:
-    """Minimise the misfit of the readings and, more weakly, the fourth differences, shape (n,)."""
+    """Minimise the residuals of the readings and, more weakly, the fourth differences, shape (n,)."""
     samples = model.shape[1]
     normal = (model.T @ model).tocsr()
     band = np.zeros((2 * _TAPS, samples))

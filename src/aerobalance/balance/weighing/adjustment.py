@@ -228,7 +228,7 @@ def adjust(model: WeightModel, readings: Readings, *, assumed: Array | None = No
         Nothing tells the noise of a component.
     """
     scales = natural_scales(model, readings)
-    # The choice rests on noise that does not depend on the choice: what is left out must not hide in its own misfit.
+    # The choice rests on noise that does not depend on the choice: what is left out must not hide in its residuals.
     sigma = free = _free_sigma(model, readings)
     held = np.zeros(scales.size) if assumed is None else assumed
     values = held

@@ -54,7 +54,7 @@ class LocalModeSettings:
         Damping ratio above which a peak is the load's and no mode.
     excited
         Level of the balance's own resonance over the noise from which its frequency and damping are looked at.
-    misfit
+    lack_of_fit
         Standard deviations by which the band may fit worse than by chance.
     """
 
@@ -70,7 +70,7 @@ class LocalModeSettings:
     drops: tuple[float, ...] = (-3.0, 3.0)
     heaviest: float = 0.1
     excited: float = 20.0
-    misfit: float = 5.0
+    lack_of_fit: float = 5.0
 
 
 SETTINGS: Final = LocalModeSettings()
@@ -160,7 +160,7 @@ class _LocalFit:
     point: Array
     covariance: Array
     twice_log_likelihood: float
-    misfit: float
+    lack_of_fit: float
 
 
 class MissingMode(NamedTuple):
@@ -373,7 +373,7 @@ def own_resonance(seen: Averaged, dynamics: ModalModel) -> tuple[Array, Array, f
     found = _fit(seen, band, lambda f: lambda point: _power(changed(point), f), start=np.zeros(2), scale=scale)
     moved, ratio = np.exp(np.clip(found.point, -700, 700)) * (1.0, dynamics.damping_ratio)
     if (
-        found.misfit > SETTINGS.misfit or abs(moved - 1) > SETTINGS.band or ratio >= 1
+        found.lack_of_fit > SETTINGS.lack_of_fit or abs(moved - 1) > SETTINGS.band or ratio >= 1
     ):  # beyond the band, or no resonance: not told
         return None
     return found.point, found.covariance, found.twice_log_likelihood - plain.twice_log_likelihood
@@ -443,5 +443,5 @@ def _fit(seen: Averaged, band: NDArray[np.intp], power: Power, *, start: Array, 
     )  # fmt: skip
     covariance = np.linalg.pinv(weight * slopes.T @ slopes)
     ratio = seen.power[band] / shown
-    misfit = float(np.mean((ratio - 1) ** 2) * seen.averages - 1) * np.sqrt(band.size * SETTINGS.independent / 2)
-    return _LocalFit(point[: start.size], covariance[: start.size, : start.size], -2 * float(found.fun), misfit)
+    lack_of_fit = float(np.mean((ratio - 1) ** 2) * seen.averages - 1) * np.sqrt(band.size * SETTINGS.independent / 2)
+    return _LocalFit(point[: start.size], covariance[: start.size, : start.size], -2 * float(found.fun), lack_of_fit)

@@ -1,6 +1,6 @@
 """What a record says against the dynamics that it is read with, and what that does to the force.
 
-What it says of one component is found in `aerobalance.estimation.checks.misfit`, of coupled ones in
+What it says of one component is found in `aerobalance.estimation.checks.other_dynamics`, of coupled ones in
 `aerobalance.estimation.checks.mode_shapes`.
 """
 
@@ -14,10 +14,16 @@ import numpy as np
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.applied_force import Force
-from aerobalance.estimation.checks.misfit import ModelDoubt, misfit_of, peaks_of, unbroken, without_steps
 from aerobalance.estimation.checks.mode_shapes import shape_doubts
 from aerobalance.estimation.checks.model_error import as_noise, error_under
 from aerobalance.estimation.checks.not_linear import NotLinear, not_linear
+from aerobalance.estimation.checks.other_dynamics import (
+    ModelDoubt,
+    other_dynamics_in,
+    peaks_of,
+    unbroken,
+    without_steps,
+)
 from aerobalance.estimation.checks.peaks import peak_doubts
 from aerobalance.estimation.checks.resonance import Spoken
 from aerobalance.estimation.checks.unmeasured_rotation import turning_by_angles
@@ -84,17 +90,17 @@ def checked(force: Force) -> Force:
             kinds = {doubt.kind for doubt in force[name].doubts}
             if kinds & {"resolution", "too many steps"}:
                 continue  # what rounding makes of a load swings at multiples of it, and so does a square wave
-            misfit = misfit_of(one, **known_of_one(name))
+            shown = other_dynamics_in(one, **known_of_one(name))
             if "colored noise" in kinds:
-                misfit = replace(misfit, silent=False)  # noise does not ring
-            found, interval = misfit.doubts(own), one.interval
+                shown = replace(shown, silent=False)  # noise does not ring
+            found, interval = shown.doubts(own), one.interval
             bent, error = _not_linear(one, force[name]) or (None, np.zeros(0))
-            moved = misfit.frequency is not None and abs(misfit.frequency[0]) > MOVED
+            moved = shown.frequency is not None and abs(shown.frequency[0]) > MOVED
             if bent is not None and bent.of_spring and bent.probability == 1 and not moved:
                 found = _of_a_spring(found, bent, error, force=force[name].values, own=own, interval=interval)
             parts[name] = _raised(parts[name], found, own, interval=interval)
-            if misfit.possible is not None:
-                parts[name] = _left_open(parts[name], misfit.possible, own, interval=interval)
+            if shown.possible is not None:
+                parts[name] = _left_open(parts[name], shown.possible, own, interval=interval)
             # damping that is not linear may look like noise of a color; a shock goes with the motion as all of it does
             colored = "colored noise" in kinds and bent is not None and not bent.of_spring and bent.probability < 1
             if bent is not None and not found and not colored and "unexplained" not in kinds:

@@ -35,10 +35,10 @@ MOST_HUMPS: Final = 4
 WIDTHS: Final = (0.1, 3.0)
 """Widths of a hump over its frequency."""
 
-MISFIT_BANDS: Final = 24
+LACK_OF_FIT_BANDS: Final = 24
 """Bands, a constant ratio wide, in which the record is compared with what is taken for its spectrum."""
 
-MISFIT: Final = 1e-7
+LACK_OF_FIT_CHANCE: Final = 1e-7
 """Probability of a departure by chance from which on it is none."""
 
 MATTERS: Final = 0.3
@@ -84,7 +84,7 @@ def noise_spectrum_of(
         raise FitError(f"{name}: {dynamics.component} does not change; a record of its noise is needed")
     seen = Ordinates.of(values, dynamics, interval=interval, input_density=input_density, name=name)
     point = fitted(seen)
-    _tell_of_misfit(seen, model_of(point, seen), component=dynamics.component, name=name)
+    _tell_of_lack_of_fit(seen, model_of(point, seen), component=dynamics.component, name=name)
     return _spectrum_of(point, seen)
 
 
@@ -122,14 +122,14 @@ def _spectrum_of(point: Array, seen: Ordinates, *, usual: tuple[float, float] = 
     )
 
 
-def _tell_of_misfit(seen: Ordinates, model: Array, *, component: str, name: str) -> None:
+def _tell_of_lack_of_fit(seen: Ordinates, model: Array, *, component: str, name: str) -> None:
     """Say where a record of noise departs from its model by more than chance and by enough to matter."""
-    edges = np.geomspace(seen.frequency[0], seen.frequency[-1] * (1 + 1e-9), MISFIT_BANDS + 1)
+    edges = np.geomspace(seen.frequency[0], seen.frequency[-1] * (1 + 1e-9), LACK_OF_FIT_BANDS + 1)
     place = np.digitize(seen.frequency, edges) - 1
-    weight = np.bincount(place, seen.weight, MISFIT_BANDS)
-    ratio = np.bincount(place, seen.weight * seen.density / model, MISFIT_BANDS) / np.maximum(weight, 1e-300)
+    weight = np.bincount(place, seen.weight, LACK_OF_FIT_BANDS)
+    ratio = np.bincount(place, seen.weight * seen.density / model, LACK_OF_FIT_BANDS) / np.maximum(weight, 1e-300)
     chance = np.minimum(gammaincc(weight, weight * ratio), gammainc(weight, weight * ratio))
-    wrong = np.flatnonzero((weight > 0) & (ratio > 0) & (chance < MISFIT))
+    wrong = np.flatnonzero((weight > 0) & (ratio > 0) & (chance < LACK_OF_FIT_CHANCE))
     wrong = wrong[np.abs(np.log(ratio[wrong])) > MATTERS]
     if wrong.size:
         worst = int(wrong[np.argmax(np.abs(np.log(ratio[wrong])))])

@@ -376,5 +376,5 @@ def with_noise(records: Sequence[ShakeRecord], fit: ShakeParameters, *, least: A
     deviation = np.maximum(np.sqrt(np.diag(covariance)), least)
     correlation = covariance / np.sqrt(np.outer(np.diag(covariance), np.diag(covariance)))
     if (deviation <= least).any() or np.linalg.eigvalsh(correlation)[0] < 1e-3:
-        correlation = np.eye(6)  # not noise but rounding, or a misfit that all components share
+        correlation = np.eye(6)  # not noise but rounding, or a lack of fit that all components share
     return replace(fit, noise=np.asarray(correlation * np.outer(deviation, deviation)))

@@ -76,7 +76,7 @@ def noise_of_residuals(residuals: Array, *, degrees_of_freedom: int, least: Arra
     correlation = covariance / np.outer(deviation, deviation)
     np.fill_diagonal(correlation, 1.0)
     if (deviation <= least).any() or np.linalg.eigvalsh(correlation)[0] < LEAST_INDEPENDENCE:
-        correlation = np.eye(n)  # not noise but rounding, or a misfit that all components share
+        correlation = np.eye(n)  # not noise but rounding, or a lack of fit that all components share
     return np.asarray(correlation * np.outer(deviation, deviation))
 
 

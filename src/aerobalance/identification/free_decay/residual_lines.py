@@ -83,7 +83,7 @@ def _strongest_line(ring: Ring) -> float | None:
         level = np.maximum(smooth_level(power), left.size * ring.variance)
         power[: int(np.searchsorted(frequency, 4 / duration))] = 0.0
         width = max(5 * ring.decay / (2 * np.pi), 4 / duration)
-        power[np.abs(frequency - ring.frequency) < width] = 0.0  # what is left there is the first mode's own misfit
+        power[np.abs(frequency - ring.frequency) < width] = 0.0  # what is left there is the first mode's own residual
         power /= level
         place = int(np.argmax(power))
         significance = power[place] + np.log(FALSE_ALARM / left.size)

@@ -134,8 +134,8 @@ def _approach(time: Array, values: Array, look: Look) -> Ring:
     height = abs(float(values[before].mean() - tapped.values.mean())) if before.any() else 0.0
     with np.errstate(over="ignore"):  # a short record can leave a decay so steep that nothing stood before it
         swing = tapped.amplitude * float(np.exp(tapped.decay * (tapped.start - look.start)))
-    misfit = float(np.mean(ring.residuals[after] ** 2)) > 2 * tapped.variance
-    return tapped if misfit and height < TAPPED * swing else ring
+    poor = float(np.mean(ring.residuals[after] ** 2)) > 2 * tapped.variance
+    return tapped if poor and height < TAPPED * swing else ring
 
 
 def freed(ring: Ring) -> Ring:

@@ -334,8 +334,8 @@ def _struck(ring: Ring) -> bool:
 def _shortened(ring: Ring) -> Ring:
     """Cut the record where something else happens before or after the ringing.
 
-    Blocks of residuals that do not fit count only behind two that do: a misfit that begins at the release itself is
-    the model's, and its lines are looked for instead. The part is taken only where it tells the damping better than
+    Blocks of residuals that do not fit count only behind two that do: a lack of fit that begins at the release itself
+    is the model's, and its lines are looked for instead. The part is taken only where it tells the damping better than
     the whole does.
     """
     edges, unlikely = _blocks(ring)

@@ -279,7 +279,7 @@ def _fitted(
             fit = linked_taps(free, taps, units, judged.points, u_gain=judged.u_gain, leave=leave)
         scale = judged.scale
         doubts += [*taps_that_differ(taps, leave, component), *judged.doubts]
-    fit, colour, more = _with_misfit(fit, units, names, component)
+    fit, colour, more = _with_lack_of_fit(fit, units, names, component)
     if more:  # the same, said better
         doubts = [one for one in doubts if one.kind != "missing mode"]
     doubts += more
@@ -328,7 +328,7 @@ def _check_seen(fit: TapFit, taps: Sequence[PlacedTap], names: tuple[str, ...]) 
         )
 
 
-def _with_misfit(
+def _with_lack_of_fit(
     fit: TapFit, units: Units, names: tuple[str, ...], component: str
 ) -> tuple[TapFit, Array, list[Doubt]]:
     """The fit with uncertainties that contain what departs from it, the color of the residuals, and the doubts."""

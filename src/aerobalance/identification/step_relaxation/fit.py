@@ -30,7 +30,7 @@ ENOUGH: Final = 1e-3
 """Promised drop of the squares, in variances, at which a fit has settled."""
 
 VALLEY: Final = 20
-"""Steps over which a fit that gains less than one variance has settled, or at the end less than one of the misfit."""
+"""Steps over which a fit that gains less than one variance has settled, finally less than one of the lack of fit."""
 
 SETTINGS: Final = Settings(
     MOST_STEPS,
@@ -214,9 +214,9 @@ def reweighed(fit: ReleaseFit, noise: Array) -> ReleaseFit:
 
 
 def _worth(linears: Sequence[Linear], whitener: Array) -> float:
-    """Drop of the squares that is worth one variance: 1 for noise, and more for a misfit in few frequencies.
+    """Drop of the squares that is worth one variance: 1 for noise, and more for a lack of fit in few frequencies.
 
-    A mode that the motion lacks leaves a misfit that no step takes away, and makes the valley long and flat.
+    A mode that the motion lacks leaves a lack of fit that no step takes away, and makes the valley long and flat.
     """
     power = np.concatenate(
         [

@@ -284,7 +284,7 @@ def _with_edge(fit: ReleaseFit, number: int, record: ReleaseRecord, units: Units
             _best_instant(fit, number, held=held, duration=part * (segment.edge[1] - earliest) / 2, earliest=earliest)
             for part in parts
         ]
-        place = int(np.argmin([misfit for _, _, misfit in begun]))
+        place = int(np.argmin([squares for _, _, squares in begun]))
         instant, rest, _ = begun[place]
         own = np.concatenate([rest[: fit.size], held, [instant]])
         edge = (instant, instant)
@@ -319,9 +319,10 @@ def margin_of(record: ReleaseRecord, units: Units) -> float:
 def _best_instant(
     fit: ReleaseFit, number: int, *, held: Array, duration: float, earliest: float
 ) -> tuple[float, Array, float]:
-    """Instant at which a release from rest leads best to the free decay found, what belongs to it, and the misfit.
+    """Instant at which a release from rest leads best to the free decay found, what belongs to it, and the squares.
 
-    What belongs to it are the loads that stay, and the internal coordinates and their rates at the instant.
+    What belongs to it are the loads that stay, and the internal coordinates and their rates at the instant; the
+    squares are those of the residuals that this leaves.
     """
     segment, motion, n = fit.segments[number], fit.motion, fit.size
     size = motion.size
@@ -345,6 +346,6 @@ def _best_instant(
     table, target = factor @ design, aim @ factor.T
     normal = np.swapaxes(table, 1, 2) @ table
     rest = np.linalg.solve(normal, np.einsum("gij,gi->gj", table, target)[:, :, None])[:, :, 0]
-    misfit = np.sum((target - np.einsum("gij,gj->gi", table, rest)) ** 2, axis=1)
-    best = int(np.argmin(misfit))
-    return float(grid[best]), rest[best], float(misfit[best])
+    squares = np.sum((target - np.einsum("gij,gj->gi", table, rest)) ** 2, axis=1)
+    best = int(np.argmin(squares))
+    return float(grid[best]), rest[best], float(squares[best])

@@ -34,7 +34,7 @@ from aerobalance.recording.wording import frequency_text, share_text
 
 
 @dataclass(frozen=True, slots=True)
-class MisfitSettings:
+class OtherDynamicsSettings:
     """Thresholds of the checks of dynamics against a record.
 
     Attributes
@@ -80,12 +80,12 @@ class MisfitSettings:
 ROUNDING: Final = 1e-9
 """Relative change of a damping ratio that is rounding."""
 
-SETTINGS: Final = MisfitSettings()
+SETTINGS: Final = OtherDynamicsSettings()
 """Thresholds that are used."""
 
 
 @dataclass(frozen=True, slots=True)
-class Misfit:
+class OtherDynamics:
     """What a record says against the dynamics of one component.
 
     Attributes
@@ -188,14 +188,14 @@ class ModelDoubt:
     other: ModalModel | None
 
 
-def misfit_of(
+def other_dynamics_in(
     record: SingleRecord,
     *,
     noise: float,
     steps: Sequence[Step] = (),
     hum: Sequence[Line] = (),
     learned: SpectralPrior | None = None,
-) -> Misfit:
+) -> OtherDynamics:
     """What a record says against its dynamics: other natural frequency or damping ratio, or a mode that they lack.
 
     Parameters
@@ -212,7 +212,7 @@ def misfit_of(
     dynamics = record.dynamics
     seen = unbroken(record, steps, hum)
     if seen is None:
-        return Misfit(dynamics.component)
+        return OtherDynamics(dynamics.component)
     reading, within = seen
     known = record.load
 
@@ -257,20 +257,22 @@ def misfit_of(
     return replace(found, possible=possible)
 
 
-def _spoken(spoken: Spoken, dynamics: Dynamics) -> Misfit:
-    """A misfit of dynamics that a record speaks clearly against."""
+def _spoken(spoken: Spoken, dynamics: Dynamics) -> OtherDynamics:
+    """Other dynamics that a record speaks clearly for."""
     other = spoken.dynamics
     if spoken.kind == "missing mode":
         mode = other.further_modes[-1]
-        found = Misfit(dynamics.component, missing=mode, u_frequency=spoken.u * mode.natural_frequency)
+        found = OtherDynamics(dynamics.component, missing=mode, u_frequency=spoken.u * mode.natural_frequency)
         return replace(found, u_share=spoken.u_share * abs(mode.share))
     if spoken.kind == "no resonance":
-        return Misfit(dynamics.component, silent=True)
+        return OtherDynamics(dynamics.component, silent=True)
     ratio = other.damping_ratio / dynamics.damping_ratio - 1 if dynamics.damping_ratio else 0.0
     frequency = other.natural_frequency / dynamics.natural_frequency - 1, spoken.u
     if spoken.kind == "damping ratio":
-        return Misfit(dynamics.component, damping=(ratio, np.nan))
-    return Misfit(dynamics.component, frequency=frequency, damping=(ratio, np.nan) if abs(ratio) > ROUNDING else None)
+        return OtherDynamics(dynamics.component, damping=(ratio, np.nan))
+    return OtherDynamics(
+        dynamics.component, frequency=frequency, damping=(ratio, np.nan) if abs(ratio) > ROUNDING else None
+    )
 
 
 def _looks_alike(mode: Mode, learned: SpectralPrior, interval: float) -> bool:
@@ -371,16 +373,16 @@ def _without_tones(values: Array) -> Array:
     return np.asarray(without_tones(values[:, None])[:, 0])
 
 
-def _possible(found: Misfit, *, most: float) -> Misfit:
+def _possible(found: OtherDynamics, *, most: float) -> OtherDynamics:
     """The same without a size of the ringing that is more than the balance load has."""
     return found if found.size is None or found.size <= most else replace(found, size=None)
 
 
-def _in_spectrum(values: Array, dynamics: Dynamics, *, interval: float, noise: float) -> Misfit:
+def _in_spectrum(values: Array, dynamics: Dynamics, *, interval: float, noise: float) -> OtherDynamics:
     """What the spectrum of a record tells."""
     seen = Averaged.of(values, interval=interval, noise=noise)
     if seen is None:
-        return Misfit(dynamics.component)
+        return OtherDynamics(dynamics.component)
     found = missing_mode(seen, dynamics)
     size = None
     if found is not None:
@@ -396,7 +398,7 @@ def _in_spectrum(values: Array, dynamics: Dynamics, *, interval: float, noise: f
             known = dynamics.uncertainty(name) / getattr(dynamics, name)
             u = float(np.hypot(np.sqrt(own[1][index, index]), known))
             changes[index] = _if_changed(float(own[0][index]), u)
-    return Misfit(
+    return OtherDynamics(
         dynamics.component,
         missing=None if found is None else found.mode,
         u_frequency=0.0 if found is None else found.u_frequency,

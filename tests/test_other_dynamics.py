@@ -11,11 +11,11 @@ import pytest
 
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.checks import misfit, model_check, resonance
+from aerobalance.estimation.checks import model_check, other_dynamics, resonance
 from aerobalance.estimation.checks.local_modes import SETTINGS, Averaged, missing_mode, own_resonance, smeared
-from aerobalance.estimation.checks.misfit import Misfit, _if_changed, misfit_of, without_steps
 from aerobalance.estimation.checks.model_error import error_under
 from aerobalance.estimation.checks.near_resonance import near_resonance
+from aerobalance.estimation.checks.other_dynamics import OtherDynamics, _if_changed, other_dynamics_in, without_steps
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.prior import Observation
 from aerobalance.estimation.steps import Step
@@ -51,13 +51,13 @@ def known() -> Dynamics:
     return identified(BARE, np.random.default_rng(new_seed()))
 
 
-def looked_at(recording: Recording, dynamics: Dynamics) -> Misfit:
+def looked_at(recording: Recording, dynamics: Dynamics) -> OtherDynamics:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)
         force = estimate_force(recording, dynamics)
     found = force.only
     record = force.record.component_record(dynamics.component)
-    return misfit_of(record, noise=found.noise, steps=found.steps, hum=found.hum, learned=found.learned)
+    return other_dynamics_in(record, noise=found.noise, steps=found.steps, hum=found.hum, learned=found.learned)
 
 
 def shaken(
@@ -384,7 +384,7 @@ def test_what_a_record_leaves_open_counts_by_its_probability(probability, monkey
     before = estimate_force(recording, BARE).only
     other = BARE.retuned(frequency=1.002, damping=1.0)
     spoken = resonance.Spoken("natural frequency", other, 10.0, probability=probability)
-    monkeypatch.setattr(misfit, "spoken_for", lambda *_, **__: spoken)
+    monkeypatch.setattr(other_dynamics, "spoken_for", lambda *_, **__: spoken)
     after = estimate_force(recording, BARE)
     assert after.doubts == ()
     error = error_under(before.values, own=BARE, other=other, interval=1 / RATE)
