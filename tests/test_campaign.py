@@ -36,7 +36,7 @@ from aerobalance.app.campaign.engine import Engine
 from aerobalance.app.campaign.places import fingerprint
 from aerobalance.app.campaign.reduction import RunSettings
 from aerobalance.app.campaign.results import Results
-from aerobalance.app.campaign.watching import Watch
+from aerobalance.app.campaign.watching import FileWatch
 from aerobalance.app.cli.program import main
 from aerobalance.app.commands.campaign import watch
 from aerobalance.estimation.force import estimate_force
@@ -395,7 +395,7 @@ def test_a_file_that_is_replaced_in_a_store_is_seen_by_who_watches():
         looks.append(ready(test.runs[0]))
         return SimpleNamespace(rows=[], done=())
 
-    watching = Watch(lambda: test, reduced, print)
+    watching = FileWatch(lambda: test, reduced, print)
     for content in (b"1", b"1", b"2"):
         store.pipe_file("/seen/a", content)
         watching.look()
@@ -414,7 +414,7 @@ def test_who_watches_sees_what_is_corrected_in_test_file_and_table(files):
         looks.append([run.columns["alpha"] for run in prepared(files.test).runs if ready(run)])
         return SimpleNamespace(rows=[], done=())
 
-    watching = Watch(lambda: prepared(files.test), reduced, print)
+    watching = FileWatch(lambda: prepared(files.test), reduced, print)
     for row in ("runs/run_1.h5,2", "runs/run_1.h5,2", "runs/run_1.h5,4"):
         table.write_text(f"file,alpha\n{row}\n")
         watching.look()
@@ -433,10 +433,10 @@ def test_of_many_runs_the_first_are_shown_before_all_are_reduced():
         shown.append(len(rows))
         return SimpleNamespace(rows=rows, done=())
 
-    Watch(lambda: test, reduced, print).go(seconds=0)
+    FileWatch(lambda: test, reduced, print).go(seconds=0)
     assert shown == [4, 12, 20]  # 4, 8 and the rest
     shown.clear()
-    Watch(lambda: test, reduced, print, there={run.name for run in runs[:10]}).go(seconds=0)
+    FileWatch(lambda: test, reduced, print, there={run.name for run in runs[:10]}).go(seconds=0)
     assert shown == [14, 20]
 
 

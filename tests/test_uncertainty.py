@@ -24,7 +24,7 @@ from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import filtered
 from aerobalance.uncertainty.budget import advice, component_budget, scalars, spectrum
 from aerobalance.uncertainty.monte_carlo import monte_carlo
-from aerobalance.uncertainty.parameter_draws import CLOSE, Change, parameter_errors
+from aerobalance.uncertainty.parameter_draws import CLOSE, ChangedRecord, parameter_errors
 from aerobalance.uncertainty.sampling import UncertainDynamics, drawn_numbers, standard_normals
 from helpers.cable_cut import T128
 from seeds import trials
@@ -270,7 +270,7 @@ def test_drawn_dynamics_have_the_covariance_of_the_dynamics():
 def test_dynamics_that_are_hardly_known_are_refused():
     wild = replace(T128, covariance=np.diag([(3 * T128.mass) ** 2, 0, 0, 0]))
     with pytest.raises(FitError, match="not physical"):
-        Change(alone(wild), lambda _: None).records(np.random.default_rng(3), 50)
+        ChangedRecord(alone(wild), lambda _: None).records(np.random.default_rng(3), 50)
 
 
 def test_the_fast_estimator_is_the_obvious_one(rng):
@@ -399,7 +399,7 @@ def test_draws_of_parameters_by_a_polynomial_are_those_one_by_one():
         drawn = other.reading()
         return LinearSmoother.of(drawn, **given).run(drawn.filled[:, None])[:, 0] - found
 
-    change = Change(alone(UNSURE), lambda other: record.with_dynamics(other["AF"]))
+    change = ChangedRecord(alone(UNSURE), lambda other: record.with_dynamics(other["AF"]))
     errors = np.array(list(parameter_errors(change, moved, draws=60, generator=np.random.default_rng(3))))
     assert len(asked) < 30
     expected = np.array([moved(other) for other in change.records(np.random.default_rng(3), 60)])

@@ -46,7 +46,7 @@ class RecorderCommand(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Progress:
+class RecordProgress:
     """How a record stands. Every block that is counted here is on the disk.
 
     Attributes
@@ -148,7 +148,7 @@ class RecordWriter:
         )
         self.held = LockedFile(Path(job.path))
         state: State = "starting" if isinstance(plan.trigger, AtOnce) else "waiting"
-        self.progress = Progress(state, plan.trigger.text, job.path)
+        self.progress = RecordProgress(state, plan.trigger.text, job.path)
         self._see_free()
         self._block_bytes = plan.rows * len(plan.channels) * 8
         self._origin = 0
@@ -322,7 +322,7 @@ def run_recorder(job: RecordJob, address: Address, control: Connection[Any, Any]
     except (OSError, EOFError, RuntimeError) as problem:
         text = "the source is gone" if isinstance(problem, EOFError) else plain_reason(problem)
         with contextlib.suppress(OSError):  # who started it may be gone as well
-            control.send(Progress("failed", f"cannot record to {job.path}: {text}", job.path))
+            control.send(RecordProgress("failed", f"cannot record to {job.path}: {text}", job.path))
         return
     teller = Sender(control, _UNHEARD)
     _tell(teller, take.progress)
@@ -404,6 +404,6 @@ def _obey(take: RecordWriter, feed: Feed, control: Connection[Any, Any]) -> bool
     return True
 
 
-def _tell(teller: Sender, progress: Progress) -> None:
+def _tell(teller: Sender, progress: RecordProgress) -> None:
     """Send how the record stands; where the starter does not listen, the next one will say it all."""
     teller.offer(bytes(ForkingPickler.dumps(progress)), wait=False)

@@ -13,7 +13,7 @@ from typing import Any, Final
 from aerobalance.acquisition.feed import Address, Feed, Order, SourceInfo, SourceMessage, run_source
 from aerobalance.acquisition.planned import plan_of
 from aerobalance.acquisition.processes import pipe, start_worker
-from aerobalance.acquisition.recorder import Progress, RecorderCommand, RecordJob, free_space, run_recorder
+from aerobalance.acquisition.recorder import RecorderCommand, RecordJob, RecordProgress, free_space, run_recorder
 from aerobalance.acquisition.scratch import make_folder, remove
 from aerobalance.acquisition.setup import Setup, setup_text, stored_channels
 from aerobalance.io.hdf5_closing import close_broken_off
@@ -42,10 +42,10 @@ class Recorder:
         self._control, other = pipe()
         self.process = start_worker(run_recorder, job, address, other)
         other.close()
-        self.progress = Progress("starting", "the recorder is starting", job.path)
+        self.progress = RecordProgress("starting", "the recorder is starting", job.path)
         self.heard = False
 
-    def poll(self, timeout: float = 0.0) -> Progress:
+    def poll(self, timeout: float = 0.0) -> RecordProgress:
         """Return how the record stands, after waiting for news up to `timeout` [s]."""
         try:
             while not self.progress.over and self._control.poll(timeout):
@@ -55,7 +55,7 @@ class Recorder:
             self._gone()
         return self.progress
 
-    def ready(self, timeout: float = _STARTING) -> Progress:
+    def ready(self, timeout: float = _STARTING) -> RecordProgress:
         """Wait until the recorder takes samples.
 
         Raises
@@ -75,7 +75,7 @@ class Recorder:
         with contextlib.suppress(OSError):
             self._control.send(tell)
 
-    def stop(self, reason: str = "stopped", *, timeout: float = _CLOSING, hurry: bool = False) -> Progress:
+    def stop(self, reason: str = "stopped", *, timeout: float = _CLOSING, hurry: bool = False) -> RecordProgress:
         """End the record and wait until its file is closed; for one that is just starting, up to a minute longer."""
         self.tell(RecorderCommand("stop", reason, time.monotonic()))
         limit = time.monotonic() + timeout + (0.0 if self.poll().over or self.heard or hurry else _STARTING)
@@ -95,12 +95,12 @@ class Recorder:
             with contextlib.suppress(OSError):  # so that other HDF5 programs can open it
                 close_broken_off(last.path)
             reason = "the recorder is gone without a word (killed, or crashed); all acknowledged blocks are kept"
-            names = Progress.__slots__
+            names = RecordProgress.__slots__
             kept = {name: getattr(last, name) for name in names if name not in ("state", "reason")}
             back = recover_all(Path(last.path).parent)  # a file that had lost its name as well
             if back and not Path(last.path).exists():
                 kept["path"], reason = str(back[0]), f"{reason}; its file is {back[0].name} now"
-            self.progress = Progress(state="ended", reason=reason, **kept)
+            self.progress = RecordProgress(state="ended", reason=reason, **kept)
 
 
 class Session:

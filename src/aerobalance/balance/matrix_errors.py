@@ -32,7 +32,7 @@ way), with 1 it was 1.5, with 2 it was 2.1, and with nothing but the errors of t
 """
 
 
-class Part(NamedTuple):
+class CoefficientSlope(NamedTuple):
     """Slope of the loads [N, N*m] at some samples by the coefficients of the matrix.
 
     A change of the coefficients changes the loads by the sum over i and t of gain[:, :, i] terms[:, t] change[i, t].
@@ -73,7 +73,7 @@ class MatrixErrors:
     transform: Array
     native: Array
 
-    def parts(self, rows: NDArray[np.intp], names: tuple[str, ...]) -> Iterator[Part]:
+    def parts(self, rows: NDArray[np.intp], names: tuple[str, ...]) -> Iterator[CoefficientSlope]:
         """Yield the slopes of these loads by the coefficients at samples of shape (m,), some at a time."""
         matrix = self.matrix
         turn = self.transform[[self.components.index(name) for name in names]] * matrix.load_scale
@@ -88,7 +88,7 @@ class MatrixErrors:
             else:
                 x = np.ascontiguousarray(matrix.outputs(loads) / matrix.output_scale)
                 gain = np.broadcast_to(turn, (len(x), *turn.shape))
-            yield Part(place, np.asarray(gain), kernels.design(*codes(matrix.terms), x))
+            yield CoefficientSlope(place, np.asarray(gain), kernels.design(*codes(matrix.terms), x))
 
 
 def covariance_at_points(errors: MatrixErrors, names: tuple[str, ...], *, zero: Array) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from aerobalance.estimation.checks.assumptions import assumptions_of
 from aerobalance.estimation.checks.colored_noise import slow_noise_doubts
 from aerobalance.estimation.checks.faint_force import hidden_force
-from aerobalance.estimation.checks.ground_alignment import Alignment, alone, with_channel_aligned
+from aerobalance.estimation.checks.ground_alignment import ChannelAlignment, alone, with_channel_aligned
 from aerobalance.estimation.checks.ground_channels import GroundFault
 from aerobalance.estimation.checks.ground_doubts import ground_doubts
 from aerobalance.estimation.checks.ground_witnesses import SETTINGS as GROUND_CHANNELS
@@ -192,7 +192,7 @@ class Fitted:
     def _aligned(cls, record: SingleRecord, hum: Hum) -> Fitted:
         """The force with the channels of the ground's motion at the delays and of the gains that the load shows."""
         moved, found = record, cls.of(record, hum=hum)
-        told: dict[str, Alignment] = {}
+        told: dict[str, ChannelAlignment] = {}
         for _ in range(GROUND_CHANNELS.rounds):
             settled = True
             for name in alone(record, found.smoothed).changes.channels:

@@ -27,7 +27,7 @@ CLOSE: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Part:
+class _StepPart:
     """A part of a record about some of its steps.
 
     Attributes
@@ -51,7 +51,7 @@ class _Part:
     @classmethod
     def of(
         cls, reading: Observation, filter_: KalmanFilter, steps: Sequence[Step], *, own: list[int], part: slice
-    ) -> _Part:
+    ) -> _StepPart:
         """Cut a part out of a record."""
         local = replace(reading, values=reading.values[part])
         origin, end = part.start * reading.interval, part.stop * reading.interval
@@ -65,14 +65,14 @@ class _Part:
         return np.column_stack([self.fixed, *(column for some in columns for column in some)])
 
 
-def _parts(reading: Observation, filter_: KalmanFilter, steps: Sequence[Step]) -> Iterator[_Part]:
+def _parts(reading: Observation, filter_: KalmanFilter, steps: Sequence[Step]) -> Iterator[_StepPart]:
     """Yield the record as a whole or, where it is long beside the ringing, parts about steps that are near each other.
 
     The steps are looked up when a part is asked for: they may have changed by then.
     """
     count, length = reading.values.size, _window_length(reading)
     if count <= LONG * length:
-        yield _Part.of(reading, filter_, steps, own=list(range(len(steps))), part=slice(0, count))
+        yield _StepPart.of(reading, filter_, steps, own=list(range(len(steps))), part=slice(0, count))
         return
     places = [int(place) for place in np.argsort([step.instant for step in steps])]
     middle = [step.instant / reading.interval for step in steps]
@@ -81,7 +81,7 @@ def _parts(reading: Observation, filter_: KalmanFilter, steps: Sequence[Step]) -
         places = places[len(own) :]
         begin = int(np.clip(middle[own[0]] - length // 2, 0, count - length))
         end = int(np.clip(middle[own[-1]] + length // 2, begin + length, count))
-        yield _Part.of(reading, filter_, steps, own=own, part=slice(begin, end))
+        yield _StepPart.of(reading, filter_, steps, own=own, part=slice(begin, end))
 
 
 def _window_length(reading: Observation) -> int:
@@ -114,7 +114,7 @@ def refine_step(
     """
     count, interval, step, length = reading.values.size, reading.interval, steps[place], _window_length(reading)
     first = int(np.clip(step.instant / interval - length // 2, 0, max(count - length, 0)))
-    part = _Part.of(reading, filter_, steps, own=[place], part=slice(first, min(first + length, count)))
+    part = _StepPart.of(reading, filter_, steps, own=[place], part=slice(first, min(first + length, count)))
     window = StepWindow.of(part.reading, part.filter, part.fixed, before=int(max(SETTINGS.ramps)) // 2 if ramps else 0)
     (step,) = _later([step], -part.origin)
     begin, end = step.instant - 1.5 * interval, step.instant + step.duration + 1.5 * interval
@@ -199,7 +199,7 @@ def fit_together(reading: Observation, filter_: KalmanFilter, steps: Sequence[St
     ]
 
 
-def _fitted(part: _Part, steps: list[Step]) -> list[Step]:
+def _fitted(part: _StepPart, steps: list[Step]) -> list[Step]:
     """Return steps of a part, fitted together."""
     reading, first = part.reading, part.fixed.shape[1]
     small, most = 0.05 * reading.interval, 0.5 * reading.interval

@@ -61,10 +61,10 @@ def check_variable(path: Path, where: str, given: bytes | memoryview, order: str
     """
     with memoryview(given) as view:
         end = len(given) if whole else 1 << 62
-        _Check(path, where, view, order, whole).matrix(0, end, 0)
+        _VariableCheck(path, where, view, order, whole).matrix(0, end, 0)
 
 
-class _Check:
+class _VariableCheck:
     """The check of one variable."""
 
     def __init__(self, path: Path, where: str, view: memoryview, order: str, whole: bool) -> None:

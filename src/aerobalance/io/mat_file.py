@@ -97,7 +97,7 @@ def opened(path: Path) -> Iterator[Holdings]:
     """
     with library_faults(path, NAME, "its variables"):
         variables = _variables(path)
-        walk = _Walk(path)
+        walk = _VariableWalk(path)
         small = {one.name: _load(path, one.name) for one in variables if _is_small(one)}
         walk.level("", small, variables)
         holdings = Holdings(with_axes(walk.series), walk.epoch, parts=False)
@@ -133,7 +133,7 @@ def _variables(path: Path) -> list[_Variable]:
                 raise ReadError(
                     path, f"{where}, {variable.name!r}", f"claims {held} bytes, stored in {count}: it is damaged"
                 )
-            _check(path, f"{where}, {variable.name!r}", file, _Place(kind, place + 8, count, order), variable)
+            _check(path, f"{where}, {variable.name!r}", file, _VariablePlace(kind, place + 8, count, order), variable)
             found.append(variable)
             file.seek(place + 8 + count)
     return found
@@ -168,7 +168,7 @@ def _described(path: Path, where: str, head: bytes, order: str, count: int) -> _
     return _Variable(text[:200].decode("latin-1"), kind, shape, count)
 
 
-class _Place(NamedTuple):
+class _VariablePlace(NamedTuple):
     """Where a variable is: its kind of element, the place and length of its content, and the byte order."""
 
     kind: int
@@ -177,7 +177,7 @@ class _Place(NamedTuple):
     order: str
 
 
-def _check(path: Path, where: str, file: BinaryIO, at: _Place, variable: _Variable) -> None:
+def _check(path: Path, where: str, file: BinaryIO, at: _VariablePlace, variable: _Variable) -> None:
     """Refuse a variable whose elements, or whose size when unpacked, cannot be."""
     file.seek(at.begin)
     if at.kind != PACKED:
@@ -217,7 +217,7 @@ def _load(path: Path, name: str) -> Any:
 
 
 @dataclass(slots=True)
-class _Walk:
+class _VariableWalk:
     """What is found in the variables of a file."""
 
     path: Path

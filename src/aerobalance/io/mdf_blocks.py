@@ -54,11 +54,11 @@ def check_blocks(path: Path) -> None:
             raise ReadError(
                 path, "byte 28", f"is MDF of version {version / 100:.2f}; versions 4.00 and later are read: save it so"
             )
-        _Check(path, file, path.stat().st_size).all()
+        _FileCheck(path, file, path.stat().st_size).all()
 
 
 @dataclass(slots=True)
-class _Check:
+class _FileCheck:
     """The check of one file."""
 
     path: Path

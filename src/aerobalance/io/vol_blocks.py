@@ -121,7 +121,7 @@ def parse_vol(path: Path, text: str) -> VolText:
         if kind != "block":
             kinds.setdefault(kind, []).extend(section.entries)
             continue
-        ends = _End(whole=text.endswith("\n"), last=section is sections[-1])
+        ends = _SectionEnd(whole=text.endswith("\n"), last=section is sections[-1])
         block = _block(path, section, ends, blocks[-1].labels if blocks else ())
         if block is not None:
             blocks.append(block)
@@ -170,14 +170,14 @@ def _kind(section: _Section) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class _End:
+class _SectionEnd:
     """Whether the file ends with a complete line, and whether a section is its last one."""
 
     whole: bool
     last: bool
 
 
-def _block(path: Path, section: _Section, ends: _End, inherited: tuple[str, ...]) -> VolBlock | None:
+def _block(path: Path, section: _Section, ends: _SectionEnd, inherited: tuple[str, ...]) -> VolBlock | None:
     """Block that a section holds; None, with a warning, where it has no rows."""
     signed = _SIGNED.fullmatch(section.title)
     rows = list(section.rows)
@@ -229,7 +229,7 @@ class _Columns:
 
     labels: tuple[str, ...]
     separator: str
-    ends: _End
+    ends: _SectionEnd
 
 
 def _rows(path: Path, section: _Section, rows: list[tuple[int, str]], columns: _Columns) -> tuple[list[Array], bool]:

@@ -65,13 +65,13 @@ def opened(path: Path) -> Iterator[Holdings]:
             _check_marks(path, place)
             store = zarr.storage.LocalStore(path, read_only=True) if path.is_dir() else zarr.storage.ZipStore(path)
             stack.callback(store.close)
-            walk = _Walk(path, place)
+            walk = _StoreWalk(path, place)
             walk.group(zarr.open(store, path=place.root, mode="r"), "", {}, depth=0)
             holdings = Holdings(with_axes(walk.series), walk.epoch)
         yield holdings
 
 
-class _Place(Protocol):
+class _StorePlace(Protocol):
     """Where a store keeps its files."""
 
     @property
@@ -155,7 +155,7 @@ class _Archive:
         return [one for one in self.archive.infolist() if one.filename.startswith(f"{begin}/" if begin else "")]
 
 
-def _check_marks(path: Path, place: _Place) -> None:
+def _check_marks(path: Path, place: _StorePlace) -> None:
     """Refuse descriptions that are no JSON of a decent size, and say which."""
     for where, size, read in place.marks():
         if size > _LARGEST_MARK:
@@ -167,11 +167,11 @@ def _check_marks(path: Path, place: _Place) -> None:
 
 
 @dataclass(slots=True)
-class _Walk:
+class _StoreWalk:
     """What is found on the way through the groups of a store."""
 
     path: Path
-    place: _Place
+    place: _StorePlace
     series: list[Series] = field(default_factory=list)
     epoch: np.datetime64 | None = None
 
@@ -249,7 +249,7 @@ def _dimension(one: Any, label: str, attributes: dict[str, Any], along: int) -> 
     return f"{label.rpartition('/')[0]}/{names[along]}".lstrip("/")
 
 
-def _fault(place: _Place, one: Any, label: str, shape: tuple[int, ...]) -> str:
+def _fault(place: _StorePlace, one: Any, label: str, shape: tuple[int, ...]) -> str:
     """Return why an array cannot be read as readings; an empty string where it can."""
     kind = np.dtype(one.dtype)
     if fault := kind_fault(kind.kind, allowed="fiubM"):

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.clock_pair import LARGEST_DRIFT, Alignment, Line, Pair, fitted_line
+from aerobalance.recording.clock_pair import LARGEST_DRIFT, Alignment, ClockLine, Pair, fitted_line
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.fourier import convolve
 from aerobalance.recording.recording import Recording
@@ -41,7 +41,7 @@ def by_correlation(pair: Pair) -> Alignment:
     return pair.found("correlation", *line)
 
 
-def _lags(pair: Pair) -> Line:
+def _lags(pair: Pair) -> ClockLine:
     """Offset and drift from the lags of segments of the other recording, by cross-correlation."""
     rate = min(pair.base.rate, pair.other.rate, COARSE / max(pair.base.duration, pair.other.duration))
     one = _thinned(pair.base, pair.one, rate)
@@ -84,11 +84,11 @@ def _lags(pair: Pair) -> Line:
     near = np.abs(lags - lag) < 3 / rate + LARGEST_DRIFT * pair.other.duration
     if not near.any():
         middle = pair.other.start + pair.other.duration / 2
-        return Line(middle, middle + lag, 1.0, 1 / rate, float("nan"))
+        return ClockLine(middle, middle + lag, 1.0, 1 / rate, float("nan"))
     x, y = x[near], y[near]
     line = fitted_line(x, y, least=1 / rate)
     if x.size < 3 or abs(line.slope - 1) > LARGEST_DRIFT:
-        return Line(float(x.mean()), float(y.mean()), 1.0, 1 / rate, float("nan"))
+        return ClockLine(float(x.mean()), float(y.mean()), 1.0, 1 / rate, float("nan"))
     return line
 
 
@@ -142,7 +142,7 @@ def _thinned(recording: Recording, channel: Channel, rate: float) -> Array:
     return np.asarray(mean - mean.mean())
 
 
-def _refined(pair: Pair, line: Line) -> tuple[Line, int]:
+def _refined(pair: Pair, line: ClockLine) -> tuple[ClockLine, int]:
     """Offset and drift by least squares: what the slower recording read is the faster one's signal at these instants.
 
     Gain and level of one sensor against the other are fitted too. Residuals that hang together count as fewer.
@@ -204,8 +204,8 @@ def _refined(pair: Pair, line: Line) -> tuple[Line, int]:
     # and it is smallest between samples, so that such noise pulls the instants there
     deviations[2] = np.hypot(deviations[2], PULLED * (1 - common) ** 2 / slow.rate)
     if swapped:  # the line goes from the slower to the faster: turn it round
-        return Line(level, middle, 1 / slope, float(deviations[2]), float(deviations[3])), left.size
-    return Line(middle, level, slope, float(deviations[2]), float(deviations[3])), left.size
+        return ClockLine(level, middle, 1 / slope, float(deviations[2]), float(deviations[3])), left.size
+    return ClockLine(middle, level, slope, float(deviations[2]), float(deviations[3])), left.size
 
 
 def _together(left: Array) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from aerobalance.recording.channel import Array
-from aerobalance.recording.clock_pair import Alignment, Line, Pair, fitted_line
+from aerobalance.recording.clock_pair import Alignment, ClockLine, Pair, fitted_line
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import interpolate_gaps_linearly
@@ -30,7 +30,7 @@ def by_ticks(pair: Pair) -> Alignment:
         lines.append((middle, level, slope, u_level, max(scatter, within) / float(np.sqrt(far @ far))))
         points += ticks.size
     (m1, l1, s1, u1, d1), (m2, l2, s2, u2, d2) = lines
-    line = Line(
+    line = ClockLine(
         m2, m1 + (l2 - l1) / s1, s2 / s1, float(np.hypot(u1, u2)) / s1, float(np.hypot(d1 / s1, d2 / s2)) * s2 / s1
     )
     return pair.found("tick", line, points)

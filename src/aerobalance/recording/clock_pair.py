@@ -96,7 +96,7 @@ class Pair:
         """What the channels' own delays add to the offset [s]."""
         return self.two.delay - self.one.delay
 
-    def found(self, way: Way, line: Line, points: int) -> Alignment:
+    def found(self, way: Way, line: ClockLine, points: int) -> Alignment:
         """The alignment by a straight line of base times over other times."""
         if not abs(line.slope - 1) < LARGEST_DRIFT:
             raise FitError(
@@ -118,7 +118,7 @@ class Pair:
 
 
 @dataclass(frozen=True, slots=True)
-class Line:
+class ClockLine:
     """A straight line through points, about their middle."""
 
     middle: float
@@ -137,13 +137,13 @@ class Line:
         return float(np.hypot(self.u_level, far))
 
 
-def fitted_line(x: Array, y: Array, *, least: float) -> Line:
+def fitted_line(x: Array, y: Array, *, least: float) -> ClockLine:
     """Fit a line; `least` is the standard deviation of a point that there is at least."""
     middle = float(x.mean())
     if x.size < 2:
-        return Line(middle, float(y[0]), 1.0, least, float("nan"))
+        return ClockLine(middle, float(y[0]), 1.0, least, float("nan"))
     far = x - middle
     level, slope = float(y.mean()), float(far @ (y - x) / (far @ far)) + 1.0
     left = y - level - slope * far
     scatter = max(least, float(np.sqrt(left @ left / max(x.size - 2, 1))))
-    return Line(middle, level, slope, scatter / np.sqrt(x.size), scatter / float(np.sqrt(far @ far)))
+    return ClockLine(middle, level, slope, scatter / np.sqrt(x.size), scatter / float(np.sqrt(far @ far)))

@@ -38,7 +38,7 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import kept_warnings, warn_quality
 from aerobalance.recording.progress import PROGRESS
 from aerobalance.uncertainty.budget import noise_power, scalars
-from aerobalance.uncertainty.parameter_draws import Change, parameter_errors
+from aerobalance.uncertainty.parameter_draws import ChangedRecord, parameter_errors
 from aerobalance.uncertainty.sampling import UncertainDynamics, drawn_numbers
 
 
@@ -195,7 +195,7 @@ def monte_carlo(force: Force, *, draws: int = 200, seed: int = 1) -> dict[str, M
     return found
 
 
-def _change(record: BalanceRecord, given: ComponentRecord, filled: Array) -> Change | None:
+def _change(record: BalanceRecord, given: ComponentRecord, filled: Array) -> ChangedRecord | None:
     """What makes the record of a component out of drawn dynamics; None where they are exact."""
     component, shared = given.dynamics.component, given.shared
     if not record.is_uncertain(component):
@@ -204,7 +204,7 @@ def _change(record: BalanceRecord, given: ComponentRecord, filled: Array) -> Cha
     def changed(other: BalanceDynamics) -> ComponentRecord:
         return record.taken_with(other).component_record(component, filled, shared=shared)
 
-    return Change(UncertainDynamics.of(record.dynamics.block_of(component), given.rows), changed)
+    return ChangedRecord(UncertainDynamics.of(record.dynamics.block_of(component), given.rows), changed)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -213,7 +213,7 @@ class _Trial:
 
     record: ComponentRecord
     estimate: ComponentForce
-    change: Change | None
+    change: ChangedRecord | None
     draws: int
     generator: np.random.Generator
 

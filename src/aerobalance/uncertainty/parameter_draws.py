@@ -34,7 +34,7 @@ CLOSE: Final = 0.02
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Change:
+class ChangedRecord:
     """What the record of a component is with other dynamics.
 
     Attributes
@@ -65,7 +65,11 @@ class Change:
 
 
 def parameter_errors(
-    change: Change | None, moved: Callable[[ComponentRecord], Array], *, draws: int, generator: np.random.Generator
+    change: ChangedRecord | None,
+    moved: Callable[[ComponentRecord], Array],
+    *,
+    draws: int,
+    generator: np.random.Generator,
 ) -> Iterator[Array | None]:
     """Return the change of a force by one draw of the dynamics after the other, shape (n,) [N]; None without one.
 
@@ -109,7 +113,7 @@ def parameter_errors(
 
 
 def _polynomial(
-    change: Change, moved: Callable[[ComponentRecord], Array], pairs: list[tuple[int, int]]
+    change: ChangedRecord, moved: Callable[[ComponentRecord], Array], pairs: list[tuple[int, int]]
 ) -> Array | None:
     """What each of `_sizes` changes the force by, shape (q, n) [N]; None where a point is not physical."""
     axes = POINT * np.eye(change.dynamics.count)

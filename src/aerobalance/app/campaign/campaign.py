@@ -14,7 +14,7 @@ from aerobalance.app.campaign.assignment import Run, assigned, definition_of_fol
 from aerobalance.app.campaign.definition import Definition, load_definition
 from aerobalance.app.campaign.engine import Engine
 from aerobalance.app.campaign.places import each_of, exists, fetched, fingerprint, folder_of, is_address, name_of
-from aerobalance.app.campaign.quality import Quality, quality_of
+from aerobalance.app.campaign.quality import CampaignQuality, quality_of
 from aerobalance.app.campaign.reduction import RunSettings
 from aerobalance.app.campaign.results import HISTORIES, KIND, MANIFEST, PAGE, SUMMARY, Results, import_needed
 from aerobalance.app.campaign.rows import ASIDE, REDUCED, Row, head_of, set_aside
@@ -55,7 +55,7 @@ class Campaign:
     name: str
     out: str
     rows: Sequence[Row]
-    quality: Quality
+    quality: CampaignQuality
     done: tuple[str, ...]
     definition: Definition
     seconds: float = 0.0

@@ -160,7 +160,7 @@ class SetUp(Strict):
         return given
 
 
-class Zeros(Strict):
+class ZeroFiles(Strict):
     """Table ``[zeros]``: recordings without wind that the loads count from."""
 
     files: Names | None = None
@@ -250,7 +250,7 @@ class ForceOptions(Strict):
     align: bool = False
 
 
-class Spectrum(Strict):
+class SpectrumBands(Strict):
     """Table ``[spectrum]``: bands whose rms each run gets a column of [Hz]."""
 
     bands: list[tuple[NotBelow, Above]] = Field(default_factory=lambda: [(1.0, 10.0), (10.0, 100.0), (100.0, 1000.0)])
@@ -279,7 +279,7 @@ class Definition(Strict):
     gravity: Annotated[float, Field(ge=9.7, le=9.9)] = STANDARD_GRAVITY
     runs: RunFiles
     setups: Annotated[list[SetUp], Field(min_length=1)]
-    zeros: Zeros | None = None
+    zeros: ZeroFiles | None = None
     tares: Tares | None = None
     axes: Axes = Axes()
     reference: Reference | None = None
@@ -287,7 +287,7 @@ class Definition(Strict):
     angles: Angles = Angles()
     repeats: Repeats = Repeats()
     force: ForceOptions = ForceOptions()
-    spectrum: Spectrum = Spectrum()
+    spectrum: SpectrumBands = SpectrumBands()
     output: Output = Output()
 
     @model_validator(mode="after")

@@ -27,7 +27,7 @@ COEFFICIENTS: Final = ("CL", "CD", "CPM", "CY", "CYM", "CRM")
 
 
 @dataclass(frozen=True, slots=True)
-class QualitySettings:
+class CampaignQualitySettings:
     """From which on what is said of a test.
 
     Attributes
@@ -58,7 +58,7 @@ class QualitySettings:
     fewest: int = 5
 
 
-SETTINGS: Final = QualitySettings()
+SETTINGS: Final = CampaignQualitySettings()
 """Settings that are used."""
 
 
@@ -105,7 +105,7 @@ class RepeatGroup:
 
 
 @dataclass(frozen=True, slots=True)
-class Quality:
+class CampaignQuality:
     """What the runs say together.
 
     Attributes
@@ -123,7 +123,7 @@ class Quality:
     flags: tuple[Flag, ...]
 
 
-def quality_of(rows: Sequence[Mapping[str, Any]], rules: Repeats) -> Quality:
+def quality_of(rows: Sequence[Mapping[str, Any]], rules: Repeats) -> CampaignQuality:
     """Return what the rows of a test, in its order, say together.
 
     Parameters
@@ -152,7 +152,7 @@ def quality_of(rows: Sequence[Mapping[str, Any]], rules: Repeats) -> Quality:
         flags += _scatter(together)
         correlation = correlation_of_repeats([_values(list(together), group) for _, group in groups])
         together["all"] = pooled_results(list(together.values()), correlation)
-    return Quality(tuple(repeats), together, tuple(flags))
+    return CampaignQuality(tuple(repeats), together, tuple(flags))
 
 
 def quantities(rows: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -14,7 +14,7 @@ from aerobalance.app.campaign.definition import (
     ForceOptions,
     Pressure,
     Reference,
-    Spectrum,
+    SpectrumBands,
 )
 from aerobalance.app.campaign.run_table import PRESSURES
 from aerobalance.balance.calibration.fit import Calibration
@@ -70,7 +70,7 @@ class RunSettings:
     beta: str | None = None
     u_angle: float = 0.0
     u_angle_run: float = 0.0
-    bands: Sequence[tuple[float, float]] = field(default_factory=lambda: Spectrum().bands)
+    bands: Sequence[tuple[float, float]] = field(default_factory=lambda: SpectrumBands().bands)
 
     @classmethod
     def of(cls, definition: Definition, axes: Axes) -> RunSettings:

@@ -48,7 +48,7 @@ def _settled(place: str) -> bool:
 
 
 @dataclass(slots=True, eq=False)
-class Watch:
+class FileWatch:
     """Looks for the files of a test, and has what is new reduced.
 
     Attributes

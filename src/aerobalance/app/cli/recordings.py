@@ -79,7 +79,7 @@ def convert(
     """Convert a recording to the format of the output's ending; make one of several files of one event."""
     from aerobalance.app.commands import recordings
 
-    how = recordings.Alignment(None if align is None else align.value, by)
+    how = recordings.AlignmentRequest(None if align is None else align.value, by)
     show(
         lambda: recordings.convert(files, out, channel_maps=channel_map or (), how=how),
         manner,

@@ -13,7 +13,7 @@ from aerobalance.app.campaign.engine import Engine
 from aerobalance.app.campaign.places import is_address, name_of
 from aerobalance.app.campaign.reduction import ReducedRun
 from aerobalance.app.campaign.results import HISTORIES, PAGE, SUMMARY, Results
-from aerobalance.app.campaign.watching import EVERY, Watch
+from aerobalance.app.campaign.watching import EVERY, FileWatch
 from aerobalance.app.campaign.work import RunWork
 from aerobalance.app.commands.answers import short
 from aerobalance.app.commands.doubts import doubt_result
@@ -202,7 +202,7 @@ def watch(
         return found
 
     with results.held():
-        found = Watch(prepare, reduce, say, every, results.recorded()).go(seconds)
+        found = FileWatch(prepare, reduce, say, every, results.recorded()).go(seconds)
         if found is None:
             return {"test": test, "out": out, "runs": 0, "summary": f"no run came into {test}\n"}
         write_page_of(found)

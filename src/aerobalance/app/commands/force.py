@@ -133,7 +133,7 @@ def force(
 
 
 @dataclass(slots=True, eq=False)
-class _Found:
+class _KeptForces:
     """What is kept of the forces of a record while its parts go by.
 
     Attributes
@@ -199,10 +199,10 @@ class _Found:
         self.worst.add(given)
 
 
-def _worked_out(work: ForceWork, out: Path, append: Append, *, pictured: bool) -> _Found:
+def _worked_out(work: ForceWork, out: Path, append: Append, *, pictured: bool) -> _KeptForces:
     """Work out the forces of a record part by part, and write them as they come."""
     record = work.record
-    found = _Found(work.working.samples, work.working.every)
+    found = _KeptForces(work.working.samples, work.working.every)
     for given in work.parts():
         _append_samples(given, out, append)
         found.add(given, record.start, pictured=pictured)
@@ -222,7 +222,7 @@ def _append_samples(given: ForcePart, out: Path, append: Append) -> None:
         append(force_columns(out, clock, slice(own.start + some.start, own.start + some.stop), *columns))
 
 
-def _checked(work: ForceWork, found: _Found, check: Check | None) -> dict[str, MonteCarlo]:
+def _checked(work: ForceWork, found: _KeptForces, check: Check | None) -> dict[str, MonteCarlo]:
     """Monte Carlo of a record; of one in parts that of the part that is known worst, which is said."""
     part = found.worst.part
     if check is None or part is None:

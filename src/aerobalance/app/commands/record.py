@@ -11,7 +11,7 @@ from pathlib import Path
 from types import FrameType
 from typing import Any
 
-from aerobalance.acquisition.recorder import Progress
+from aerobalance.acquisition.recorder import RecordProgress
 from aerobalance.acquisition.session import Recorder, Session
 from aerobalance.acquisition.setup import Setup, load_setup, setup_from
 from aerobalance.acquisition.source_settings import SOURCES
@@ -171,7 +171,7 @@ def _catching_signals(out: Path) -> Iterator[_Signals]:
             signal.signal(number, handler)
 
 
-def _follow(recorder: Recorder, session: Session, signals: list[str], show: Callable[[str], None]) -> Progress:
+def _follow(recorder: Recorder, session: Session, signals: list[str], show: Callable[[str], None]) -> RecordProgress:
     """Show the progress of a record until it is over or a signal comes; return how it ended."""
     shown = 0.0
     while not recorder.poll(_TICK).over:
@@ -185,7 +185,7 @@ def _follow(recorder: Recorder, session: Session, signals: list[str], show: Call
     return recorder.progress
 
 
-def line(progress: Progress) -> str:
+def line(progress: RecordProgress) -> str:
     """Return one line of text about the progress of a record."""
     if progress.state == "waiting":
         return f"waiting for the trigger ({progress.reason}); disk left {progress.free / 1e9:.1f} GB"
@@ -194,12 +194,12 @@ def line(progress: Progress) -> str:
     return f"{progress.seconds:.1f} s, {progress.blocks} blocks, {gaps_text(progress)}; {left}{mishap}"
 
 
-def gaps_text(progress: Progress) -> str:
+def gaps_text(progress: RecordProgress) -> str:
     """Return how much of a record is missing, in words."""
     return f"{progress.gaps} gap(s), {progress.lost} samples lost" if progress.gaps else "no gaps"
 
 
-def _record_result(progress: Progress, stopped: bool, refused: list[str]) -> Result:
+def _record_result(progress: RecordProgress, stopped: bool, refused: list[str]) -> Result:
     """Summary of a record that has ended; `stopped` by a signal it may be empty.
 
     Raises

@@ -178,7 +178,7 @@ def summary(result: Result) -> str:
 
 
 @dataclass(frozen=True, slots=True)
-class Alignment:
+class AlignmentRequest:
     """How several files are brought together, as asked for: the way, and the channel."""
 
     way: str | None = None
@@ -190,7 +190,7 @@ def convert(
     out: Path,
     *,
     channel_maps: Sequence[Path] = (),
-    how: Alignment = Alignment(),
+    how: AlignmentRequest = AlignmentRequest(),
 ) -> Result:
     """Write a recording, or several of one event made one, in another format; or a balance matrix."""
     if len(channel_maps) not in (0, 1, len(paths)):

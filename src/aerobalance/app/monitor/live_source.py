@@ -17,7 +17,7 @@ from aerobalance.acquisition.setup import Setup, setup_text
 from aerobalance.app.monitor.log import Log
 from aerobalance.app.monitor.messages import FollowSource, SetZeros, TakeZeros, Watching
 from aerobalance.app.monitor.setups import first_controls
-from aerobalance.app.monitor.workers import Engine
+from aerobalance.app.monitor.workers import EngineProcesses
 from aerobalance.recording.errors import FitError, ReadError
 
 UNWATCHED: Final = 20.0
@@ -50,7 +50,9 @@ class LiveSource:
         Held while anything of the monitor is changed.
     """
 
-    def __init__(self, setup: Setup, folder: Path, engine: Engine, *, log: Log, lock: threading.RLock) -> None:
+    def __init__(
+        self, setup: Setup, folder: Path, engine: EngineProcesses, *, log: Log, lock: threading.RLock
+    ) -> None:
         self.setup, self.engine = setup, engine
         self._folder, self._log, self._lock = folder, log, lock
         self._numbers = itertools.count(1)

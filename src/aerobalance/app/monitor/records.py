@@ -7,7 +7,7 @@ import time
 from pathlib import Path
 from typing import Final
 
-from aerobalance.acquisition.recorder import Progress, RecorderCommand
+from aerobalance.acquisition.recorder import RecorderCommand, RecordProgress
 from aerobalance.acquisition.session import Recorder
 from aerobalance.app.monitor.folder import Folder
 from aerobalance.app.monitor.live_source import LiveSource
@@ -42,7 +42,7 @@ class Records:
     def __init__(self, folder: Folder, source: LiveSource, *, log: Log, lock: threading.RLock) -> None:
         self._folder, self._source, self._log, self._lock = folder, source, log, lock
         self.recorder: Recorder | None = None
-        self.progress: Progress | None = None
+        self.progress: RecordProgress | None = None
         self.opening_notes: list[str] = []  # of each record: what the checks of this source have found
 
     def forget(self) -> None:
@@ -113,7 +113,7 @@ class Records:
         if recorder.progress.state == "failed":
             raise ValueError(recorder.progress.reason)
 
-    def stop(self) -> Progress:
+    def stop(self) -> RecordProgress:
         """End the record; its file is closed when this returns."""
         with self._lock:
             if self.recorder is None or not self.under_way:
@@ -153,7 +153,7 @@ class Records:
                 self._log.list_anew()
             self._log.changed()
 
-    def _ended(self, progress: Progress) -> None:
+    def _ended(self, progress: RecordProgress) -> None:
         bad = (
             progress.full or progress.unkept or progress.state == "failed" or "gone without a word" in progress.reason
         )

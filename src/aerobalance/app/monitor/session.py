@@ -21,7 +21,7 @@ from aerobalance.app.monitor.records import Records
 from aerobalance.app.monitor.setups import check_files, check_set_up
 from aerobalance.app.monitor.stepped_sine import SteppedSineRun
 from aerobalance.app.monitor.tasks import Tasks
-from aerobalance.app.monitor.workers import Engine
+from aerobalance.app.monitor.workers import EngineProcesses
 from aerobalance.io.locked_file import recover_all
 
 POLLED: Final = 0.1
@@ -75,7 +75,7 @@ class MonitorSession:
             text = "its record was broken off by a kill after it had lost its name; what was written is in it"
             log.say(f"{found.name} is back: {text}", kind="error")
         self.alarms = Alarms(changed)
-        self.source = LiveSource(setup, self.folder.path, Engine(self._answer), log=log, lock=self._lock)
+        self.source = LiveSource(setup, self.folder.path, EngineProcesses(self._answer), log=log, lock=self._lock)
         self.records = Records(self.folder, self.source, log=log, lock=self._lock)
         self.checks = Checks(self.source, self.records, log)
         self.tasks = Tasks(self.folder, self.source, self.records, log)

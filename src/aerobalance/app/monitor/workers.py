@@ -45,7 +45,7 @@ def _jobs(pipe: Pipe) -> None:
     run_jobs(pipe)
 
 
-class Engine:
+class EngineProcesses:
     """The engine and its learner; whichever is gone is started again.
 
     Parameters

@@ -21,7 +21,7 @@ ALIGNED: Final = "alignment of "
 
 
 @dataclass(frozen=True, slots=True)
-class Alignment:
+class ChannelAlignment:
     """How a channel was brought to what the load shows.
 
     Attributes
@@ -40,7 +40,7 @@ class Alignment:
     gain: float
     u_gain: float
 
-    def after(self, earlier: Alignment) -> Alignment:
+    def after(self, earlier: ChannelAlignment) -> ChannelAlignment:
         """Both, one after the other."""
         gain = (1 + earlier.gain) * (1 + self.gain) - 1
         return replace(self, delay=earlier.delay + self.delay, gain=gain)
@@ -83,7 +83,7 @@ def alone(record: SingleRecord, fit: SmootherResult) -> Witnesses:
 
 def with_channel_aligned(
     record: SingleRecord, fit: SmootherResult, name: str
-) -> tuple[SingleRecord, Alignment] | None:
+) -> tuple[SingleRecord, ChannelAlignment] | None:
     """Return the record with one channel at the delay and of the gain that the load shows, and what these are.
 
     To first order in both, from where the channel is: to be repeated until nothing changes.
@@ -118,4 +118,4 @@ def with_channel_aligned(
     ]
     motion = replace(record.motion, specific_force=record.motion.specific_force + change, unknowns=tuple(unknowns))
     u_delay, u_gain = found.u[:2].tolist()
-    return replace(record, recording=recording, motion=motion), Alignment(name, delay, u_delay, gain, u_gain)
+    return replace(record, recording=recording, motion=motion), ChannelAlignment(name, delay, u_delay, gain, u_gain)

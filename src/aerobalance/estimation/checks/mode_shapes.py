@@ -19,7 +19,7 @@ from scipy.optimize import minimize
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.estimation.checks.model_error import as_noise
-from aerobalance.estimation.checks.ringing import Ringing, Rows, powers_of
+from aerobalance.estimation.checks.ringing import RingingSpectra, Rows, powers_of
 from aerobalance.estimation.checks.steady_tones import without_tones
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.result import ComponentForce, with_errors
@@ -170,7 +170,7 @@ def _contradicted(evidence: Array, known: Array) -> bool:
     return float(-np.sum(np.minimum(gains, 0.0))) > SETTINGS.against * float(np.sum(np.maximum(gains, 0.0)))
 
 
-def other_shapes(ringing: Ringing, dynamics: CoupledDynamics) -> OtherShapes | None:
+def other_shapes(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherShapes | None:
     """Return the signs, the order or the modes that a record speaks for; None where it does not speak against its own.
 
     Parameters
@@ -202,7 +202,7 @@ def other_shapes(ringing: Ringing, dynamics: CoupledDynamics) -> OtherShapes | N
     return OtherShapes(kind, places, rows, gain) if gain > SETTINGS.decisive else None
 
 
-def _moved(ringing: Ringing, dynamics: CoupledDynamics, known: Array, *, least: float) -> OtherShapes | None:
+def _moved(ringing: RingingSpectra, dynamics: CoupledDynamics, known: Array, *, least: float) -> OtherShapes | None:
     """The modes that a record speaks for, where that brings more than other explanations.
 
     All are moved together first: a single one that seems to have moved may be a narrow band of the load.
@@ -228,7 +228,7 @@ def _moved(ringing: Ringing, dynamics: CoupledDynamics, known: Array, *, least: 
     return OtherShapes(kind, (), found.rows, gain, found)
 
 
-def _evidence(ringing: Ringing, moved: Moved) -> Array:
+def _evidence(ringing: RingingSpectra, moved: Moved) -> Array:
     """Evidence of moved modes; none where a balance with them cannot be."""
     try:
         return ringing.evidence(moved.rows)
@@ -236,7 +236,7 @@ def _evidence(ringing: Ringing, moved: Moved) -> Array:
         return np.full(ringing.bands.size, -np.inf)
 
 
-def _closer(ringing: Ringing, before: Moved, place: int | slice, first: Moved) -> Moved:
+def _closer(ringing: RingingSpectra, before: Moved, place: int | slice, first: Moved) -> Moved:
     """The likeliest change of modes near a first guess."""
     start = first.changes[place].reshape(-1, 2)[0] - before.changes[place].reshape(-1, 2)[0]
     size = np.array([max(0.3 * abs(float(start[0])), 0.003), 0.3])
@@ -322,7 +322,7 @@ def shape_doubts(
 
 def _spoken(record: CoupledRecord, loads: Array, parts: Mapping[str, ComponentForce]) -> OtherShapes | None:
     """What the ringing of loads speaks for, where they are enough to say so."""
-    ringing = Ringing.of(record, loads, parts)
+    ringing = RingingSpectra.of(record, loads, parts)
     return None if ringing is None else other_shapes(ringing, record.dynamics)
 
 

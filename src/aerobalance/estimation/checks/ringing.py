@@ -88,7 +88,7 @@ class Rows:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Ringing:
+class RingingSpectra:
     """Spectra of all that rows of polynomials can make of a record.
 
     Attributes
@@ -121,7 +121,7 @@ class Ringing:
     own: Rows
 
     @classmethod
-    def of(cls, record: CoupledRecord, loads: Array, parts: Mapping[str, ComponentForce]) -> Ringing | None:
+    def of(cls, record: CoupledRecord, loads: Array, parts: Mapping[str, ComponentForce]) -> RingingSpectra | None:
         """Take the spectra of loads without gaps, shape (samples, n); None where a record is too short.
 
         Parameters

@@ -160,7 +160,7 @@ class FixedLag(NamedTuple):
     out: Floats
 
 
-class Scan(NamedTuple):
+class LiveScan(NamedTuple):
     """The matched filter for a step, and the test whether the observations are explained.
 
     Attributes
@@ -285,7 +285,7 @@ def emit(k: int, end: int, model: Model, state: State, history: History, fit: Sh
 
 
 @compiled(inline="always")
-def _expect_step(model: Model, K: Floats, S: float, scan: Scan) -> None:
+def _expect_step(model: Model, K: Floats, S: float, scan: LiveScan) -> None:
     """Whiten the response to a step with this gain."""
     x, updated = np.zeros(model.h.size), np.empty(model.h.size)
     total = 0.0
@@ -297,7 +297,7 @@ def _expect_step(model: Model, K: Floats, S: float, scan: Scan) -> None:
 
 
 @compiled(inline="always")
-def _take_gain(n: int, model: Model, state: State, history: History, fixed: FixedLag, scan: Scan) -> None:
+def _take_gain(n: int, model: Model, state: State, history: History, fixed: FixedLag, scan: LiveScan) -> None:
     """Find gain and innovation variance of sample n, and predict the covariance of the next."""
     marks, K = state.marks[0], state.K
     here = history.present[n]
@@ -353,7 +353,7 @@ def advance(
     history: History,
     fit: ShapeFit,
     fixed: FixedLag,
-    scan: Scan,
+    scan: LiveScan,
 ) -> tuple[int, int]:
     """Take samples from first up to stop, until something happens; the force is computed from sample final on.
 
@@ -403,7 +403,7 @@ def _squares(residual: Floats, begin: int, stop: int) -> tuple[float, float]:
 
 
 @compiled(inline="always")
-def _look(n: int, state: State, history: History, scan: Scan) -> int:
+def _look(n: int, state: State, history: History, scan: LiveScan) -> int:
     """Look for a step and for observations that are not explained, now that sample n is there."""
     marks, residual = state.marks[0], history.residual
     length = scan.response.size

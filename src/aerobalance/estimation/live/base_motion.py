@@ -11,7 +11,7 @@ from aerobalance.recording.gravity import gravity_components
 from aerobalance.recording.resampling import hold_over_gaps
 
 
-class BaseMotion:
+class LiveBaseMotion:
     """Specific force and rate of turn of the non-metric end of a live force of n components.
 
     Accelerometers that show but their noise are left out (`MotionTest`); missing samples hold the last ones.

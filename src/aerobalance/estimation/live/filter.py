@@ -163,7 +163,7 @@ class LiveFilter:
             out=np.zeros((room, 2)),
         )
         watched = np.ascontiguousarray(step[: SCAN_LAGS * lag])
-        self._scan = kernels.Scan(
+        self._scan = kernels.LiveScan(
             step=watched,
             response=np.zeros(watched.size),
             inverse=np.zeros(watched.size),

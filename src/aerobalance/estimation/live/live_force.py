@@ -5,7 +5,7 @@ Eq. (17) of [Gorbushin2020]_ with matrices, F = X + D X' + A X'' - W + M x1''. T
     block -> saturated readings become missing; a short gap is bridged by missing samples, a long one begins anew
           -> channels that lag each other are aligned           (alignment.Aligner)
           -> as many samples as the natural frequencies need     (decimation.Decimator)
-          -> does the non-metric end move, and how?              (base_motion.BaseMotion)
+          -> does the non-metric end move, and how?              (base_motion.LiveBaseMotion)
           -> the loads of that on the moving mass                (equation.Equation)
           -> each component by itself, those loads taken off     (decoupling.Decoupler)
           -> force by the smoother with a fixed lag              (component_smoother.ComponentSmoother)
@@ -27,7 +27,7 @@ from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.independent import AnyDynamics, dynamics_of
 from aerobalance.estimation.live.alignment import Aligner
-from aerobalance.estimation.live.base_motion import BaseMotion
+from aerobalance.estimation.live.base_motion import LiveBaseMotion
 from aerobalance.estimation.live.columns import Columns, judged_noise
 from aerobalance.estimation.live.component_smoother import (
     FEWEST,
@@ -331,7 +331,9 @@ class LiveForce:
         width = len(columns.names)
         self._aligner = Aligner([late * self.rate for late in columns.late], loads=n)
         self._decimator = Decimator(width, self.factor)
-        self._motion = BaseMotion(columns, interval=self.interval, settings=self.settings.motion, gravity=self.gravity)
+        self._motion = LiveBaseMotion(
+            columns, interval=self.interval, settings=self.settings.motion, gravity=self.gravity
+        )
         self._origin, self._begun = first, 0
         self._waiting = np.empty((0, width))
         self._last = np.zeros(width)

@@ -341,7 +341,7 @@ class KalmanFilter:
                 last = gap.before(last)
         return np.transpose(out)
 
-    def _smoothed(self, run: Run, last: Array, *, outputs: Sequence[OutputForms], out: Array) -> Array:
+    def _smoothed(self, run: SteadyRun, last: Array, *, outputs: Sequence[OutputForms], out: Array) -> Array:
         """Write the wanted states (w, c, m) of a stretch; from the adjoint states after it (c, d) those before it."""
         forms, one = self.forms, run.stretch
         adjoint = forms.adjoint(run.innovations, last)
@@ -366,7 +366,7 @@ class KalmanFilter:
         """Variance of the force given all observations, shape (n,) [N^2]."""
         return smoothed_variance(self.forms, self.planner, self.stretches, row=self.forms.steady.basis[FORCE])
 
-    def _forward(self, series: Array) -> Iterator[Run]:
+    def _forward(self, series: Array) -> Iterator[SteadyRun]:
         """Run the filter along several series (n, c), each from a zero state."""
         forms, A = self.forms, self.forms.steady.model.A
         whole = np.ascontiguousarray(series.T)
@@ -377,14 +377,14 @@ class KalmanFilter:
             part = whole[:, one.first : one.stop]
             states, mean = forms.states(part, first)
             numbers = np.zeros((whole.shape[0], one.seen.size))
-            run = Run(one, before, part, first, states, forms.innovations(part, states), numbers)
+            run = SteadyRun(one, before, part, first, states, forms.innovations(part, states), numbers)
             if one.memory:
                 self._tell(run, np.zeros_like(first))
                 if one.end.size:
                     mean = forms.states(part, first + run.numbers @ one.start.T)[1]
             yield run
 
-    def _tell(self, run: Run, after: Array, *, start: Array | None = None) -> bool:
+    def _tell(self, run: SteadyRun, after: Array, *, start: Array | None = None) -> bool:
         """Find the numbers c of a stretch, given adjoint states (c, d) after its memory; return whether they changed.
 
         The rest of the run goes with them. The first answer is as wrong as rounding of innovations without it, so it
@@ -407,7 +407,7 @@ class KalmanFilter:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Run:
+class SteadyRun:
     """The steady filter along a stretch of several series.
 
     Attributes

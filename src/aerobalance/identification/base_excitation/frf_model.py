@@ -114,7 +114,7 @@ class Weights:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Point:
+class LikelihoodPoint:
     """The likelihood at one set of parameters.
 
     Attributes
@@ -168,7 +168,7 @@ def _turn(parameters: Parameters, w: Array) -> Complex:
     return np.asarray(np.exp(-1j * w * parameters.values[3] / parameters.reference))
 
 
-def point(problem: Problem, parameters: Parameters, *, weights: Weights) -> Point:
+def point(problem: Problem, parameters: Parameters, *, weights: Weights) -> LikelihoodPoint:
     """Evaluate likelihood and Jacobian.
 
     The Jacobian holds the most likely ground motion in place of the measured one: with it J^H r is the exact slope
@@ -200,7 +200,7 @@ def point(problem: Problem, parameters: Parameters, *, weights: Weights) -> Poin
     jacobian[:, parameters.physical :] = basis
     jacobian *= np.sqrt(weights.weight / variance)[:, None]
     cost = float(np.sum(weights.weight * np.abs(residual) ** 2 / variance))
-    return Point(cost, residual, variance, ground, driven + transient, jacobian)
+    return LikelihoodPoint(cost, residual, variance, ground, driven + transient, jacobian)
 
 
 def _transients(parameters: Parameters, w: Array, rings: list[Complex]) -> Complex:

@@ -14,8 +14,8 @@ from aerobalance.identification.base_excitation.frf_model import (
     FIRST,
     FURTHER,
     TRANSIENTS,
+    LikelihoodPoint,
     Parameters,
-    Point,
     Problem,
     Weights,
     point,
@@ -197,7 +197,9 @@ def descend(problem: Problem, parameters: Parameters, *, weights: Weights, name:
     top = float(problem.spectra.frequency[-1])
     highest = float(np.log(2 * np.pi * HIGHEST * top))
 
-    def step(state: tuple[Parameters, Point], damping: float) -> DampedStep[tuple[Parameters, Point]]:
+    def step(
+        state: tuple[Parameters, LikelihoodPoint], damping: float
+    ) -> DampedStep[tuple[Parameters, LikelihoodPoint]]:
         parameters, here = state
         slope = np.real(here.jacobian.conj().T @ (here.residual * np.sqrt(weights.weight / here.variance)))
         free = _movable(_free(problem, parameters), parameters, slope=slope, highest=highest)
@@ -208,7 +210,7 @@ def descend(problem: Problem, parameters: Parameters, *, weights: Weights, name:
         move = np.linalg.lstsq(scaled + damping * np.eye(free.size), score / scale, rcond=1e-14)[0]
         trial = _moved(parameters, free, move / scale, highest=highest)
 
-        def take() -> tuple[tuple[Parameters, Point], float]:
+        def take() -> tuple[tuple[Parameters, LikelihoodPoint], float]:
             found = point(problem, trial, weights=weights)
             return (trial, found), found.cost
 
@@ -324,7 +326,7 @@ def _estimate(problem: Problem, parameters: Parameters, *, weights: Weights, col
 
 
 def _covariance(
-    problem: Problem, parameters: Parameters, *, here: Point, weights: Weights, name: str
+    problem: Problem, parameters: Parameters, *, here: LikelihoodPoint, weights: Weights, name: str
 ) -> tuple[Array, Array]:
     """Covariance of all parameters, and their change with the log of a mass that is given."""
     spectra, jacobian = problem.spectra, here.jacobian
@@ -347,7 +349,7 @@ def _covariance(
     return covariance, sensitivity
 
 
-def _correlation(problem: Problem, parameters: Parameters, *, here: Point, weights: Weights) -> float:
+def _correlation(problem: Problem, parameters: Parameters, *, here: LikelihoodPoint, weights: Weights) -> float:
     """How far residual and measured ground motion correlate otherwise than by the noise they share.
 
     The noise of the ground acceleration makes E[U* (Y - H U)] = -H S_u; whether the noise assumed is there is seen

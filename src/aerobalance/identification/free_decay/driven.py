@@ -66,7 +66,7 @@ RATIOS: Final = (0.002, 0.006, 0.02)
 Complex = NDArray[np.complex128]
 
 
-class Band:
+class RingBand:
     """The readings of a ring in a band around it."""
 
     def __init__(self, ring: Ring) -> None:
@@ -136,7 +136,7 @@ class _Search:
     """Parameters in one row: those of the waveform, sizes, and those of the noise."""
 
     def __init__(self, ring: Ring, lines: tuple[DecayLine, ...], bent: bool) -> None:
-        self.begun, self.lines, self.bent, self.band = ring, lines, bent, Band(ring)
+        self.begun, self.lines, self.bent, self.band = ring, lines, bent, RingBand(ring)
         self.begin, self.read = float(ring.time[0]), self.band(ring.values)
         known = [
             number

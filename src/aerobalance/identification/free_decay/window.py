@@ -16,7 +16,7 @@ from aerobalance.identification.free_decay.amplitude_dependence import (
     amplitude_dependence,
     bent_fit,
 )
-from aerobalance.identification.free_decay.driven import Band, driven
+from aerobalance.identification.free_decay.driven import RingBand, driven
 from aerobalance.identification.free_decay.law import (
     AmplitudeLaw,
     by_law,
@@ -148,7 +148,7 @@ def _richer(ring: Ring) -> tuple[Ring, bool, Ring]:
 
     Done before anything else is looked for: what a bent ringing leaves over looks like lines beside the ringing.
     """
-    bent, band = bent_fit(ring), Band(ring)
+    bent, band = bent_fit(ring), RingBand(ring)
     gain = band.minus_log_likelihood(ring.residuals) - band.minus_log_likelihood(bent.residuals)
     if bent.squares > (1 - PLAIN) * ring.squares and gain < EVIDENCE / 2:
         return ring, False, bent
@@ -172,7 +172,7 @@ def _believed(forced: Ring, other: Ring, evidence: float) -> bool:
     left = other.residuals[np.isin(other.time, forced.time)]
     if left.size < forced.time.size:  # it leaves out what the force explains
         return True
-    of_other = Band(forced).minus_log_likelihood(left)
+    of_other = RingBand(forced).minus_log_likelihood(left)
     return forced.force.objective < of_other - evidence
 
 

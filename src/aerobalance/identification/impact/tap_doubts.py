@@ -247,7 +247,7 @@ def damping_hardly_told(dynamics: Dynamics, teller: str, advice: str) -> list[Do
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scatter:
+class TapScatter:
     """How the taps differ in the frequency and damping that each shows by itself.
 
     Attributes
@@ -270,11 +270,11 @@ class Scatter:
     stronger: bool
 
 
-def scatter_of(fit: TapFit) -> Scatter | None:
+def scatter_of(fit: TapFit) -> TapScatter | None:
     """Test whether taps of different strength show the same frequencies and damping; None where they do."""
     motion, whitener = fit.motion, whitener_of(fit.noise)
     up, _ = pairs(motion)
-    worst: Scatter | None = None
+    worst: TapScatter | None = None
     least = BY_CHANCE / max(up.size, 1)
     for number, pole in enumerate(up):
         shifts, variances, sizes = [], [], []
@@ -307,7 +307,7 @@ def scatter_of(fit: TapFit) -> Scatter | None:
             value = motion.poles[pole]
             spread = np.ptp(shift, axis=0)
             slope = float(np.polyfit(np.log(sizes), shift[:, 0], 1)[0]) if np.ptp(np.log(sizes)) > 0 else 0.0
-            worst = Scatter(
+            worst = TapScatter(
                 number,
                 chi2,
                 freedom,
@@ -318,7 +318,7 @@ def scatter_of(fit: TapFit) -> Scatter | None:
     return worst
 
 
-def unequal_taps(scatter: Scatter, frequency: float, component: str) -> Doubt:
+def unequal_taps(scatter: TapScatter, frequency: float, component: str) -> Doubt:
     """Return the doubt that taps of different strength disagree."""
     text = (
         f"the taps disagree about the mode at {frequency:.4g} Hz: by {percent_text(scatter.frequency, most=1.0)} in "
