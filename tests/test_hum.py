@@ -69,7 +69,8 @@ def test_line_is_that_of_least_squares(cycles, rng):
 
 
 def test_nothing_is_taken_from_noise(rng):
-    # twice the log-likelihood of one ordinate is chi-square with two degrees of freedom: 40 is exp(-20)
+    # the evidence of an ordinate is 3 times its power over the noise, an exponential distribution: 40 is exp(-40 / 3),
+    # and one of the fundamentals, or two harmonics, must be there
     for seconds in (1.0, 2.5, 7.0):
         assert hum_lines(rng.normal(0, NOISE, clock(seconds).size), 1 / RATE) == ()
 

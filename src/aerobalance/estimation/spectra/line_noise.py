@@ -1,8 +1,18 @@
 r"""Mains hum: steady lines at 50 or 60 Hz and their harmonics that the wiring adds to a reading.
 
-Nothing in a reading but its frequency tells such a line from a force. A line is taken for hum if it lies where the
-mains do, stands out of the periodogram around it far beyond chance, is as narrow as the record's length allows, and
-keeps amplitude and phase from the beginning of the record to its end.
+Nothing in a reading but its frequency tells such a line from a force. A line is taken for hum if it lies at a multiple
+of the mains frequency, stands out of the Hann periodogram around it far beyond chance, is as narrow as the record's
+length allows, and keeps amplitude and phase from the beginning of the record to its end.
+
+An ordinate is a frequency of the periodogram, a whole multiple of 1 / T with T the length of the record; as a unit,
+"two ordinates" are 2 / T. Powers of ordinates are scaled so that white noise of variance sigma^2 has the mean sigma^2.
+A line of amplitude A in n samples then has the power A^2 n / 6 under the Hann window, two thirds of the A^2 n / 4
+without one, and raises twice the log-likelihood by A^2 n / (2 sigma^2), which is called its evidence.
+
+References
+----------
+.. [Rife1974] D. C. Rife, R. R. Boorstyn, "Single-tone parameter estimation from discrete-time observations", IEEE
+   Trans. Inform. Theory 20 (1974) 591.
 """
 
 from __future__ import annotations
@@ -25,31 +35,35 @@ MAINS: Final = (50.0, 60.0)
 """Frequencies of the mains [Hz]."""
 
 MAINS_TOLERANCE: Final = 1e-3
-"""Relative departure of the mains from that: 0.05 Hz is the limit in which large grids are kept."""
+"""Largest departure of the mains from its frequency, relative [1]: 0.05 Hz of 50 Hz, the standard frequency range of
+continental Europe, Regulation (EU) 2017/1485, Annex III."""
 
 MOST_HARMONICS: Final = 20
 """Highest harmonic that is looked for."""
 
 LINE_EVIDENCE: Final = 40.0
-"""Gain in twice the log-likelihood over the surroundings that a line must bring."""
+"""Least evidence of a line [1]. White noise alone exceeds 40 at an ordinate with the probability exp(-40 / 3) = 2e-6,
+as its power has an exponential distribution and evidence is 3 times power over noise."""
 
 BESIDE: Final = (3, 27)
-"""Ordinates on each side of a line in which its surroundings are looked at."""
+"""From how many ordinates off a line to how many its surroundings are looked at on each side, the last not included:
+the Hann window spreads a line over two."""
 
-NEXT: Final = (2.0, 3.0, 4.0)
-"""Ordinates from a line at which the Hann window shows nothing of it."""
+HANN_ZEROS: Final = (2.0, 3.0, 4.0)
+"""Distances from a line [ordinates] at which the transform of the Hann window is zero."""
 
-FINE: Final = 8
-"""Places an ordinate at which a line is sought."""
+PER_ORDINATE: Final = 8
+"""Frequencies for each ordinate at which a line is sought."""
 
-NEAR: Final = 2048
-"""Parts of a record in whose sums the neighbourhood of an ordinate is seen: five ordinates off, 1e-5 of it is lost."""
+SHORT_PARTS: Final = 2048
+"""Parts of a record whose sums and first moments stand for it near an ordinate. Five ordinates off, the phase turns by
+2 pi 5 / 2048 / 2 = 0.008 rad to the edge of a part; half its square, over a part a third of that, is lost: 1e-5."""
 
 QUARTERS: Final = 4
 """Parts of the record in which a line has to be the same."""
 
 UNSTEADY: Final = 0.2
-"""Relative departure of a part's amplitude and phase that is allowed beside chance."""
+"""Departure of the complex amplitude in a part from the mean, relative, that is allowed beside chance [1]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,11 +75,11 @@ class Line:
     frequency
         Its frequency [Hz].
     sine, cosine
-        Its parts in the reading, from the middle of the record [N].
+        Amplitudes of its sine and its cosine in the reading, with phase zero at the middle of the record [N].
     u_frequency
         Standard uncertainty of the frequency [Hz].
     evidence
-        Twice the gain in log-likelihood over its surroundings [1].
+        By how much the line raises twice the log-likelihood over that of its surroundings alone [1].
     """
 
     frequency: float
@@ -81,21 +95,34 @@ class Line:
 
 
 def columns_of_lines(frequencies: Sequence[float], *, count: int, interval: float) -> Array:
-    """Sine and cosine of each line from the middle of the record, shape (n, 2 lines) [1]."""
-    turns = 2 * np.pi * (np.arange(count) - (count - 1) / 2) * interval
+    """Return sine and cosine of each line, of phase zero at the middle of the record, shape (n, 2 lines) [1].
+
+    Parameters
+    ----------
+    frequencies
+        Of the lines [Hz].
+    count
+        Number of samples n.
+    interval
+        Time between samples [s].
+    """
+    angle_per_hertz = 2 * np.pi * (np.arange(count) - (count - 1) / 2) * interval
     return np.column_stack(
-        [np.zeros((count, 0)), *(np.column_stack([np.sin(f * turns), np.cos(f * turns)]) for f in frequencies)]
+        [
+            np.zeros((count, 0)),
+            *(np.column_stack([np.sin(f * angle_per_hertz), np.cos(f * angle_per_hertz)]) for f in frequencies),
+        ]
     )
 
 
 def reading_of_lines(lines: Sequence[Line], *, count: int, interval: float) -> Array:
-    """What lines make of a reading, shape (n,) [N]."""
+    """Return the part of a reading that lines make up, shape (n,) [N]: `count` samples, `interval` apart [s]."""
     columns = columns_of_lines([line.frequency for line in lines], count=count, interval=interval)
     return np.asarray(columns @ np.array([size for line in lines for size in (line.sine, line.cosine)]))
 
 
 def hum_lines(values: Array, interval: float, *, hum: Hum = "mains") -> tuple[Line, ...]:
-    """Find the lines of a record that are to be taken for hum.
+    """Return the lines of a record that are to be taken for hum, with frequency [Hz] and amplitudes [N].
 
     Parameters
     ----------
@@ -118,7 +145,7 @@ def hum_lines(values: Array, interval: float, *, hum: Hum = "mains") -> tuple[Li
         return ()
     record = _Record.of(values, interval)
     if isinstance(hum, str):
-        return max((tuple(_comb(record, mains)) for mains in MAINS), key=_strength)
+        return max((tuple(_harmonics(record, mains)) for mains in MAINS), key=_total_evidence)
     for frequency in hum:
         if not 2 * record.ordinate < frequency < 0.5 / interval - 2 * record.ordinate:
             raise ValueError(
@@ -130,12 +157,13 @@ def hum_lines(values: Array, interval: float, *, hum: Hum = "mains") -> tuple[Li
     return tuple(record.line(frequency, reach=MAINS_TOLERANCE * frequency + record.ordinate) for frequency in hum)
 
 
-def _strength(lines: tuple[Line, ...]) -> float:
+def _total_evidence(lines: tuple[Line, ...]) -> float:
+    """Sum of the evidence of all lines [1]: it decides between 50 and 60 Hz."""
     return sum(line.evidence for line in lines)
 
 
-def _comb(record: _Record, mains: float) -> Iterator[Line]:
-    """Lines at a mains frequency and its harmonics: the first, or at least two others, has to be there."""
+def _harmonics(record: _Record, mains: float) -> Iterator[Line]:
+    """Lines at a mains frequency [Hz] and its harmonics, if the fundamental is there or at least two others are."""
     highest = 0.5 / record.interval - BESIDE[1] * record.ordinate
     numbers = range(1, min(MOST_HARMONICS, int(highest / mains)) + 1)
     if not numbers or mains < (BESIDE[1] + 1) * record.ordinate:
@@ -155,6 +183,7 @@ def _comb(record: _Record, mains: float) -> Iterator[Line]:
         return
     # the strongest line tells the frequency of the mains, and the others have to be multiples of it
     leader = max(found, key=lambda number: found[number].evidence)
+    # (4 sigma and a tenth of an ordinate, by which the leakage of neighbours may shift a line)
     true = found[leader].frequency / leader
     agreeing = {
         number: line
@@ -168,7 +197,21 @@ def _comb(record: _Record, mains: float) -> Iterator[Line]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Record:
-    """A record without gaps, less its mean, and under a Hann window."""
+    """A record without gaps, less its mean, and its Hann periodogram.
+
+    Attributes
+    ----------
+    values
+        Readings less their mean, gaps bridged by straight lines, shape (n,) [N].
+    interval
+        Time between samples [s].
+    windowed
+        The same times a Hann window whose squares add to 1, shape (n,) [N].
+    power
+        Power of each ordinate, shape (n // 2 + 1,) [N^2].
+    floor
+        Variance of the white noise whose power has the lower quartile that is found [N^2].
+    """
 
     values: Array
     interval: float
@@ -184,7 +227,8 @@ class _Record:
         windowed = filled * window / np.sqrt(np.sum(window**2))
         transform = rfft(windowed)
         power = transform.real**2 + transform.imag**2
-        # the power of noise is exponential; three quarters of all ordinates may hold something else
+        # the power of noise has an exponential distribution, and log(4 / 3) of its mean is its lower quartile; so up
+        # to three quarters of all ordinates may hold more than noise
         floor = float(np.quantile(power, 0.25)) / np.log(4 / 3)
         return cls(filled, interval, windowed, power, floor)
 
@@ -194,17 +238,20 @@ class _Record:
 
     @property
     def ordinate(self) -> float:
-        """Frequency that the record resolves [Hz]."""
+        """Distance between ordinates [Hz]: what the record resolves."""
         return 1 / self.duration
 
     def strongest(self, middle: float, *, reach: float) -> int:
-        """Number of the ordinate with the largest power within a reach of a frequency [Hz]."""
+        """Index of the ordinate with the largest power within a reach [Hz] of a frequency [Hz]."""
         first = max(int(np.ceil((middle - reach) / self.ordinate)), 1)
         last = min(int((middle + reach) / self.ordinate), self.power.size - 2)
         return first + int(np.argmax(self.power[first : last + 1]))
 
     def promising(self, places: NDArray[np.int64]) -> NDArray[np.bool_]:
-        """Whether lines may be found beside ordinates: these show at least half of a line's power, shape (k,)."""
+        """Whether lines worth a closer look may lie near ordinates of these indices, shape (k,).
+
+        A line between two ordinates shows 0.72 of its power at the nearer one; with a margin, half is reckoned with.
+        """
         first, last = BESIDE
         inner = (places - last >= 0) & (places + last <= self.power.size)
         around = np.full(places.size, self.floor)
@@ -212,44 +259,48 @@ class _Record:
             level = np.median(self.power[places[inner, None] + side], axis=1) / np.log(2)
             around[inner] = np.maximum(around[inner], level)
         around[~inner] = [self.surroundings(place * self.ordinate) for place in places[~inner]]
-        return np.asarray(2 * 2 * 1.5 * self.power[places] > LINE_EVIDENCE * around)
+        evidence = 2 * 1.5 * self.power[places]  # as in `line`, times the noise
+        return np.asarray(2 * evidence > LINE_EVIDENCE * around)
 
     def line(self, middle: float, *, reach: float) -> Line:
-        """The strongest line within a reach of a frequency [Hz]."""
+        """The strongest line within a reach [Hz] of a frequency [Hz]."""
         place = self.strongest(middle, reach=reach)
         near = _Near.of(self.windowed, place)
-        tried = place + np.arange(-FINE, FINE + 1) / FINE
+        tried = place + np.arange(-PER_ORDINATE, PER_ORDINATE + 1) / PER_ORDINATE
         power = near.power(tried)
         best = int(np.clip(np.argmax(power), 1, tried.size - 2))
-        # the lobe's logarithm is a parabola to better than a hundredth of an ordinate
+        # a parabola through the logarithm of the main lobe has its peak right to a hundredth of an ordinate
         low, here, high = np.log(power[best - 1 : best + 2] + 1e-300)
         bend = low - 2 * here + high
         shift = float(np.clip(0.5 * (low - high) / bend, -1, 1)) if bend < 0 else 0.0
         found = float(tried[best] + shift * (tried[1] - tried[0]))
         frequency = found * self.ordinate
-        offsets = np.array([sign * place for place in NEXT for sign in (-1, 1)])
+        offsets = np.array([sign * place for place in HANN_ZEROS for sign in (-1, 1)])
         level = max(self.surroundings(frequency), float(np.mean(near.power(found + offsets))))
-        # of a sine's likelihood the Hann window sees two thirds
+        # the Hann window shows two thirds of a line's power: 1.5 makes up for it
         evidence = 2 * 1.5 * float(near.power(np.array([found]))[0]) / max(level, 1e-300)
+        # twice the Cramer-Rao variance of 3 / (pi^2 evidence) squared ordinates [Rife1974]_: the peak under a Hann
+        # window has 2.34 times, but the level, the largest of several, is too high: errors of 1500 simulated lines
+        # were 0.9 of it
         u_frequency = self.ordinate * np.sqrt(6 / max(evidence, 1e-300)) / np.pi
         size = _line_of(self.values, np.ones(self.values.size), frequency * self.interval)
         return Line(frequency, -size.imag, size.real, float(u_frequency), evidence)
 
     def surroundings(self, frequency: float) -> float:
-        """Power that stands around a frequency: the largest of what is to the left, to the right, and everywhere.
+        """Power of the noise about a frequency [Hz]: the largest of that below it, above it, and in all [N^2].
 
-        The few ordinates on either side are all low by chance once in some ten thousand.
+        One side alone is not enough: its few ordinates are all low by chance once in some ten thousand.
         """
         middle = round(frequency / self.ordinate)
         first, last = BESIDE
         left = self.power[max(middle - last + 1, 1) : max(middle - first + 1, 2)]
         right = self.power[middle + first : middle + last]
-        # medians, as other lines may stand there; the power of noise is exponential, whose median is log 2
+        # medians, as other lines may stand there; that of an exponential distribution is log 2 of its mean
         sides = [float(np.median(side)) / np.log(2) for side in (left, right) if side.size]
         return float(max(*sides, self.floor))
 
     def steady(self, frequency: float) -> bool:
-        """Whether amplitude and phase of a line are the same in all parts of the record."""
+        """Whether amplitude and phase of a line at a frequency [Hz] are the same in all quarters of the record."""
         sizes, spreads, begin = [], [], 0
         cycles = frequency * self.interval
         for part in np.array_split(self.values, QUARTERS):
@@ -257,6 +308,8 @@ class _Record:
             # turned from the middle of the part to that of the record
             later = begin + (part.size - 1) / 2 - (self.values.size - 1) / 2
             sizes.append(size * np.exp(-2j * np.pi * cycles * later))
+            # least squares with squares w of a Hann window as weights: 4 sigma^2 sum w^2 / (sum w)^2 = 35/18 * 4
+            # sigma^2 / n, of which 3/4 is left about the mean of four parts: 1.46
             spreads.append(1.5 * 4 * self.surroundings(frequency) / part.size)
             begin += part.size
         mean = np.mean(sizes)
@@ -266,16 +319,19 @@ class _Record:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Near:
-    """A record turned back by the frequency of an ordinate, and summed over many short parts.
+    """Transform of a record at any frequency near an ordinate, from sums over many short parts.
+
+    The record is multiplied by exp(-2 pi i ordinate t / T), after which frequencies near the ordinate vary little
+    within a part: its sum and its first moment are enough.
 
     Attributes
     ----------
     ordinate
-        The ordinate.
+        Index of the ordinate.
     middle
-        Middles of the parts over the length of the record, shape (k,) [1].
+        Middle of each part, as a share of the record's length, shape (k,) [1].
     sums, moments
-        Sum over each of them, and of the products with the distance from its middle, over that length, shape (k,).
+        Sum over each part, and first moment about its middle with distances as shares of that length, shape (k,) [N].
     """
 
     ordinate: int
@@ -285,8 +341,8 @@ class _Near:
 
     @classmethod
     def of(cls, values: Array, ordinate: int) -> _Near:
-        """Sum a record about an ordinate."""
-        length = max(values.size // NEAR, 1)
+        """Return the sums of a record (n,) [N] about the ordinate of an index."""
+        length = max(values.size // SHORT_PARTS, 1)
         along = (np.arange(length) - (length - 1) / 2) / values.size
         sums, moments = (
             _sums(values, ordinate / values.size, weights=weights) for weights in (np.ones(length), along)
@@ -295,7 +351,7 @@ class _Near:
         return cls(ordinate, middle, sums, moments)
 
     def power(self, places: Array) -> Array:
-        """Power of the record at some places within a few ordinates, in ordinates, shape (p,)."""
+        """Power at frequencies within a few ordinates of it, given in ordinates, shape (p,) [N^2]."""
         angle = 2j * np.pi * (places - self.ordinate)
         turns = np.exp(-np.outer(angle, self.middle))
         found = turns @ self.sums - angle * (turns @ self.moments)
@@ -303,12 +359,22 @@ class _Near:
 
 
 def _hann(count: int) -> Array:
-    """Hann window of so many samples, none of them zero."""
+    """Hann window of so many samples without the zeros at its ends, shape (count,) [1]."""
     return np.hanning(count + 2)[1:-1]
 
 
 def _sums(values: Array, cycles: float, *, weights: Array) -> NDArray[np.complex128]:
-    """Sums of values times exp(-2 pi i cycles k), k from 0, and weights, over parts as long as these are."""
+    """Sums over parts of values[k] exp(-2 pi i cycles k) w, with weights w that begin anew in each part.
+
+    Parameters
+    ----------
+    values
+        Samples, shape (n,).
+    cycles
+        Frequency in cycles per sample [1].
+    weights
+        Shape (m,): their number is the length of a part.
+    """
     length = weights.size
     turn = np.exp(-2j * np.pi * cycles * np.arange(length)) * weights
     whole = values.size // length
@@ -321,10 +387,10 @@ def _sums(values: Array, cycles: float, *, weights: Array) -> NDArray[np.complex
 
 
 def _line_of(values: Array, weights: Array, cycles: float) -> complex:
-    """Size a of the line Re(a exp(2 pi i cycles k)), k from the middle, by weighted least squares.
+    """Complex amplitude a of the line Re(a exp(2 pi i cycles k)), k from the middle, by weighted least squares.
 
-    The normal equations are c a + d a* = b and its conjugate, with the weights' sum c, their transform d at twice the
-    frequency and twice that of the weighted values, b.
+    The normal equations are c a + d a* = b and its conjugate, with c the sum of the weights, d their transform at
+    twice the frequency, and b twice the transform of the weighted values.
     """
     part = np.ones(max(int(np.sqrt(values.size)), 1))
     middle = np.exp(2j * np.pi * cycles * (values.size - 1) / 2)
