@@ -1,11 +1,21 @@
-"""A force that the noise hides: what could be there and not be found.
+r"""Rms of a fluctuating force that may be there below the limit of detection, as a contribution to the uncertainty.
 
-Where no fluctuation of the force is found, there may be one below its own detection. What a record leaves open of it
-is averaged over the hypotheses: a band from zero up to some frequency, or a line at some frequency, each of any root
-mean square, all alike before the record is looked at, by Whittle's likelihood. That there is none is no part of this
-average, nor is it likelier that a force is small by orders of magnitude: either would say in advance that nothing is
-there, and a force just below detection would then be larger than its uncertainty. Both are only weighed where it is
-asked whether something is to be told.
+Where a record shows no fluctuation of the force, the force is taken for constant; one too weak to be detected would
+then be an error. Its expected rms is an average over hypotheses (Bayesian model averaging): white noise in a band from
+zero up to some frequency, or a line at some frequency, each at several levels. The likelihood of each is that of
+[Whittle1953]_, from the averaged periodogram of the reading.
+
+Two different prior distributions are used, on purpose:
+
+- for the odds that there is a force at all, one hypothesis is that there is none, and levels are spaced by a constant
+  ratio, each as likely as the others;
+- for the expected rms, there is a force, and each rms is as likely as any other. With the first prior a force just
+  below the limit of detection would be larger than its uncertainty, as the prior itself would say that most likely
+  there is nothing or next to nothing.
+
+References
+----------
+.. [Whittle1953] P. Whittle, "Estimation and information in stationary time series", Ark. Mat. 2 (1953) 423.
 """
 
 from __future__ import annotations
@@ -25,23 +35,25 @@ from aerobalance.recording.resampling import interpolate_gaps_linearly
 
 @dataclass(frozen=True, slots=True)
 class FaintSettings:
-    """Which forces are thought of, and when one is told.
+    """Hypotheses of a force, their prior probabilities, and the odds from which on a doubt is raised.
+
+    These numbers are chosen, not derived.
 
     Attributes
     ----------
     levels
-        Least and largest density over that of the noise.
+        Least and largest density of the force over that of the noise [1].
     steps
-        Levels that are tried.
+        Number of levels, a constant ratio apart.
     highest
-        Highest frequency over the natural one: farther up the balance hides too much.
+        Highest frequency over the natural frequency [1]: farther up the balance weakens the force too much.
     lowest
-        Width of the narrowest band in ordinates.
+        Width of the narrowest band [ordinates of the periodogram].
     none, bands
-        Probabilities that there is none, and that there is a band, before the record is looked at; else a line. That
-        there is none counts where it is asked whether one is told.
+        Prior probabilities that there is no force, and that it is a band; what is left is that of a line. The first
+        counts for the odds alone.
     told
-        Odds that there is one, by the record alone, from which on it is told.
+        Bayes factor of a force against none from which on a doubt is raised [1].
     """
 
     levels: tuple[float, float] = (1e-2, 1e3)
@@ -54,7 +66,7 @@ class FaintSettings:
 
 
 BINS: Final = 512
-"""Frequencies at which the spectrum of an error is kept."""
+"""Frequencies from zero to half the sampling rate at which the spectrum of the error is kept."""
 
 SETTINGS: Final = FaintSettings()
 """Settings that are used."""
@@ -62,16 +74,16 @@ SETTINGS: Final = FaintSettings()
 
 @dataclass(frozen=True, slots=True)
 class Hidden:
-    """What may be hidden.
+    """A force that may be there below the limit of detection.
 
     Attributes
     ----------
     rms
-        Root mean square of the force that is to be expected [N].
+        Root of its expected mean square [N].
     odds
-        Odds that there is one at all, by the record alone [1].
+        Bayes factor of a force against none: the posterior odds over the prior ones [1].
     frequency
-        Frequency below which its power lies, its mean over what is likely [Hz].
+        Upper edge of the band or line, its mean over all hypotheses weighted by their power [Hz].
     """
 
     rms: float
@@ -79,7 +91,17 @@ class Hidden:
     frequency: float
 
     def error(self, source: str, *, count: int, interval: float) -> Noise:
-        """What it does to the force, if that is taken for constant."""
+        """Contribution to the uncertainty of a force that is taken for constant: noise of this rms [N] and spectrum.
+
+        Parameters
+        ----------
+        source
+            Channel that it comes from.
+        count
+            Number of samples.
+        interval
+            Time between samples [s].
+        """
         frequency = np.linspace(0, 0.5 / interval, BINS)
         inside = frequency <= max(self.frequency, float(frequency[1]))
         return Noise(
@@ -87,7 +109,7 @@ class Hidden:
         )
 
     def doubt(self, component: str, *, unit: str) -> Doubt | None:
-        """What it says against a force that is taken for constant; None where none is likely."""
+        """Doubt about a force that is taken for constant; None where the odds for a fluctuating one are low."""
         if self.odds < SETTINGS.told:
             return None
         text = (
@@ -98,14 +120,14 @@ class Hidden:
 
 
 def hidden_force(reading: Observation, learned: SpectralPrior, *, left: Array) -> Hidden | None:
-    """Return what force may be hidden in a record that shows none; None where it shows one.
+    """Return the rms [N] and the band [Hz] of a force that a record may hide; None where the record shows one.
 
     Parameters
     ----------
     reading
         The record.
     learned
-        What was learned of it.
+        Spectrum of the force and noise as they were learned from it.
     left
         The readings without the constant, steps and hum, shape (n,) [N].
     """
@@ -123,27 +145,32 @@ def hidden_force(reading: Observation, learned: SpectralPrior, *, left: Array) -
     level = levels * float(np.mean(noise))
     model = noise[:, None] + gain[:, None] * level
     ratio = noise[:, None] / model
+    # logarithm of Whittle's likelihood over that without a force, shape (averages, levels): of each record, and on
+    # average where there is no force
     gained = weight[:, None] * (np.log(ratio) + density[:, None] / noise[:, None] * (1 - ratio))
-    expected = weight[:, None] * (np.log(ratio) + 1 - ratio)  # without a force
+    expected = weight[:, None] * (np.log(ratio) + 1 - ratio)
     bands = np.cumsum(gained, axis=0)
     widths = seen.step * np.cumsum(seen.count[kept])
-    some = np.unique(np.searchsorted(widths, np.geomspace(SETTINGS.lowest * seen.step, widths[-1], 16)))
-    some = some[some < widths.size]
+    edges = np.unique(np.searchsorted(widths, np.geomspace(SETTINGS.lowest * seen.step, widths[-1], 16)))
+    edges = edges[edges < widths.size]
     line = seen.step * seen.count[kept]
-    evidence = np.concatenate([[0.0], bands[some].ravel(), gained.ravel()])
-    each = (SETTINGS.bands / (some.size * level.size), (1 - SETTINGS.none - SETTINGS.bands) / gained.size)
-    chance = np.concatenate([[SETTINGS.none], np.full(some.size * level.size, each[0]), np.full(gained.size, each[1])])
-    power = np.concatenate([[0.0], *((2 * width[:, None] * level).ravel() for width in (widths[some], line))])
-    reach = np.concatenate([[0.0], np.repeat(widths[some], level.size), np.repeat(frequency + line, level.size)])
-    likely = chance * np.exp(evidence - evidence.max())
-    likely /= likely.sum()
-    # levels are a constant ratio apart: so each root mean square counts alike, up to what is expected to be seen of it
-    steady = np.vstack([np.cumsum(expected, axis=0)[some], expected])
-    size = np.sqrt(power[1:]).reshape(steady.shape)
-    open_ = np.append(0.0, likely[1:] * (size / np.sum(size * np.exp(steady), axis=1, keepdims=True)).ravel())
-    if not open_.any():
+    evidence = np.concatenate([[0.0], bands[edges].ravel(), gained.ravel()])
+    each = (SETTINGS.bands / (edges.size * level.size), (1 - SETTINGS.none - SETTINGS.bands) / gained.size)
+    prior = np.concatenate([[SETTINGS.none], np.full(edges.size * level.size, each[0]), np.full(gained.size, each[1])])
+    # mean squares: densities are two-sided
+    power = np.concatenate([[0.0], *((2 * width[:, None] * level).ravel() for width in (widths[edges], line))])
+    reach = np.concatenate([[0.0], np.repeat(widths[edges], level.size), np.repeat(frequency + line, level.size)])
+    posterior = prior * np.exp(evidence - evidence.max())
+    posterior /= posterior.sum()
+    # the prior of the expected rms: in proportion to the rms at levels a constant ratio apart, so uniform in the rms,
+    # cut off where the force would be seen (`expected` is far below zero there)
+    expected_gain = np.vstack([np.cumsum(expected, axis=0)[edges], expected])
+    rms = np.sqrt(power[1:]).reshape(expected_gain.shape)
+    unseen = np.sum(rms * np.exp(expected_gain), axis=1, keepdims=True)
+    weights = np.append(0.0, posterior[1:] * (rms / unseen).ravel())
+    if not weights.any():
         return None
-    open_ /= open_.sum()
-    mean = float(open_ @ power)
-    odds = (1 - likely[0]) / max(float(likely[0]), 1e-300) * SETTINGS.none / (1 - SETTINGS.none)
-    return Hidden(float(np.sqrt(mean)), float(odds), float(open_ @ (power * reach)) / mean)
+    weights /= weights.sum()
+    mean = float(weights @ power)
+    odds = (1 - posterior[0]) / max(float(posterior[0]), 1e-300) * SETTINGS.none / (1 - SETTINGS.none)
+    return Hidden(float(np.sqrt(mean)), float(odds), float(weights @ (power * reach)) / mean)
