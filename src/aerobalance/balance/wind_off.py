@@ -1,4 +1,4 @@
-"""Loads of wind-off recordings at the attitude of a run, to take off."""
+"""Tare of a run: the mean loads of wind-off recordings at the attitude of the run, to be subtracted from its loads."""
 
 from __future__ import annotations
 
@@ -26,12 +26,28 @@ def wind_off_loads(
     zero: GaugeZero | None = None,
     form: Form | None = None,
 ) -> tuple[Array, Array]:
-    """Loads of wind-off recordings, at the attitude of a run: values and standard uncertainty, shape (n, c).
+    """Return the tare of a run and its standard uncertainty [N, N*m], shape (n, c), or (1, c) where it is constant.
 
-    The uncertainty is that of a mean, by batch means, as that of a zero.
+    The mean loads of the wind-off recordings are interpolated linearly over pitch; recordings at the same pitch count
+    as one, with the mean of their means. Recordings at one pitch only, or without a pitch channel, give a constant
+    tare.
 
-    The mean loads of the wind-off recordings are joined by straight lines over pitch; those at one pitch give their
-    mean. Recordings at one pitch only, or without pitch, give one constant tare.
+    The uncertainty of each mean comes from batch means, as that of a zero does, since a model at rest sways and its
+    readings are not white. Between two pitch angles the standard uncertainty is interpolated as well, as if both
+    means erred alike: independent errors would average, so this is an upper bound.
+
+    Parameters
+    ----------
+    recording
+        The run, n samples; its pitch says where the tare is wanted.
+    wind_off
+        Recordings of gauge outputs with the same model and without wind.
+    balance
+        The matrix, for c components.
+    zero
+        Gauge zeros; those of the calibration where left out.
+    form
+        Form of the loads; direct-read, where that is possible, if left out.
 
     Raises
     ------
@@ -59,20 +75,23 @@ def wind_off_loads(
             f"{first:.4g} to {last:.4g} deg; add "
             "wind-off recordings, or weigh the model and give its mass.json instead"
         )
-    alike = _at_one_pitch(angles)
-    merged = [mean_of_records(means[rows], variances[rows]) for rows in alike]
-    values, us = np.array([one.values for one in merged]), np.sqrt([one.variance for one in merged])
-    if len(alike) == 1:
-        return values, us
-    knots = [float(angles[rows].mean()) for rows in alike]
-    columns = [np.column_stack([np.interp(pitch, knots, column) for column in table.T]) for table in (values, us)]
+    groups = _at_one_pitch(angles)
+    merged = [mean_of_records(means[rows], variances[rows]) for rows in groups]
+    values, deviations = np.array([one.values for one in merged]), np.sqrt([one.variance for one in merged])
+    if len(groups) == 1:
+        return values, deviations
+    knots = [float(angles[rows].mean()) for rows in groups]
+    columns = [
+        np.column_stack([np.interp(pitch, knots, column) for column in table.T]) for table in (values, deviations)
+    ]
     return columns[0], columns[1]
 
 
 def _at_one_pitch(angles: Array) -> list[NDArray[np.intp]]:
-    """Places of the angles that are the same but for what a model at rest moves, from the least angle to the largest.
+    """Indices of the recordings [1] in groups of equal pitch [rad], the group with the least pitch first.
 
-    Between two of them a line through their loads would have the slope of their scatter.
+    Equal means within `SHARED_PITCH` of the least of the group, by which a model at rest may move: a straight line
+    between two such recordings would have a slope made of nothing but the scatter of their means.
     """
     order = np.argsort(angles, kind="stable")
     groups: list[list[int]] = []
