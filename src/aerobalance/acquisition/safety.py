@@ -1,4 +1,8 @@
-"""Tables of a set-up that say what the balance may bear, and how it is checked."""
+"""Tables of a test set-up (TOML) for the limits of the balance and for its checks before a run.
+
+Limits of channels, combined load envelope, shunt calibration, and contact between model and support. Each class is one
+table, as pydantic reads it; `aerobalance.acquisition.setup` puts them together.
+"""
 
 from __future__ import annotations
 
@@ -17,7 +21,10 @@ Action = Literal["mark", "stop"]
 
 
 class SetLimit(SetupTable):
-    """Table ``[limits.NAME]``: what a channel must not leave, in its unit."""
+    """Table ``[limits.NAME]``: the range that a channel must not leave, ``low`` to ``high`` in its unit.
+
+    With ``action = "mark"`` a departure is written into the record, ``"stop"`` ends it; so too in the tables below.
+    """
 
     low: Number | None = None
     high: Number | None = None
@@ -35,9 +42,10 @@ class SetLimit(SetupTable):
 class SetEnvelope(SetupTable):
     """Table ``[envelope]``: the loads that the balance may bear together.
 
-    The largest load of each component alone is that of its ``[limits.NAME]``, or else half of its range; a component
-    that has neither does not count. With ``stations`` for a shape, only the tables ``[stations.NAME]`` do, and with
-    ``balance`` the capacities of the balance matrix beside them.
+    The shapes are those of `aerobalance.balance.load_envelope`. The largest load of each component alone is that of
+    its ``[limits.NAME]``, or else half of its range; a component that has neither does not count. With the
+    shape ``stations`` only the tables ``[stations.NAME]`` count, and with ``balance`` the capacities of the balance
+    matrix as well.
     """
 
     shape: Literal["box", "rhombus", "ellipsoid", "stations", "balance"] | None = None
@@ -47,7 +55,8 @@ class SetEnvelope(SetupTable):
 class SetStation(SetupTable):
     """Table ``[stations.NAME]``: a load at one place of the balance, made up of several components, and its limit.
 
-    ``NF`` to ``AF`` are what 1 N or 1 N*m of each adds to it.
+    ``NF`` to ``AF`` say by how much 1 N or 1 N*m of each component raises it [N or N*m], and ``limit`` is its largest
+    size in the same unit.
     """
 
     limit: Above
@@ -65,15 +74,17 @@ class SetStation(SetupTable):
         return self
 
     def station(self, name: str) -> Station:
-        """Make the station."""
+        """Return the station of this name, with its limit and shares [N or N*m]."""
         return Station(name, self.limit, {item: share for item in COMPONENTS if (share := getattr(self, item))})
 
 
 class SetShunt(SetupTable):
-    """Table ``[shunt.NAME]``: what the shunt resistor changes a channel by.
+    """Table ``[shunt.NAME]``: the change of a channel that the shunt resistor must make.
 
-    Either ``change``, in the channel's unit, as it was when the balance was calibrated, or the ``resistance`` of the
-    shunt across one arm of a ``bridge`` of four equal ones, which makes it in mV/V.
+    Either ``change`` is given, in the channel's unit, as it was when the balance was calibrated, or ``resistance`` of
+    the shunt [ohm], across one of the four equal arms of the bridge, each of ``bridge`` [ohm]; then the change is in
+    mV/V. 350 ohm is usual in transducers. ``uncertainty`` is the standard uncertainty of the
+    change, ``tolerance`` its largest departure, both relative to it [1].
     """
 
     change: Number | None = None
@@ -92,15 +103,17 @@ class SetShunt(SetupTable):
 
     @property
     def output(self) -> float | None:
-        """Change of the bridge's output [mV/V]; None where the change of the channel is given."""
+        """Change of the bridge's output that follows from resistances [mV/V]; None where ``change`` is given."""
         return None if self.resistance is None else shunt_output(self.bridge, shunt_resistance=self.resistance)
 
 
 class SetFouling(SetupTable):
-    """Table ``[fouling]``: the contact circuit between model and support, and what a load must return to.
+    """Table ``[fouling]``: the circuit that shows contact of model and support, and the check of the return to zero.
 
-    The circuit is closed from `level` on, in the channel's unit, ``above`` or ``below``. ``tolerance`` is the largest
-    departure of a load from zero after a release, over half of its range.
+    The circuit counts as closed where ``channel`` reads ``level`` or more (``closed = "above"``) or ``level`` or less
+    (``"below"``), in its unit, and a contact is over once it has stayed open for
+    ``hold`` [s]. ``tolerance`` is the largest departure of a load
+    from zero after the model was pushed and let go, relative to half of its range [1].
     """
 
     channel: Name | None = None
