@@ -1,4 +1,8 @@
-"""Clocks of the columns of a file: those that each have one of their own put on one, and the steady one of stamps."""
+"""One clock for all columns of a file, from the clocks of its columns or from a column of time stamps.
+
+`on_one_clock` puts columns that each state a rate and a start on the clock of the fastest; `steady_clock_of` finds the
+rate and the start that time stamps have, where they are evenly spaced.
+"""
 
 from __future__ import annotations
 
@@ -15,21 +19,21 @@ from aerobalance.recording.errors import ReadError, warn_quality
 from aerobalance.recording.recording import JITTER_ALLOWED
 
 DRIFT_ALLOWED: Final = 0.1
-"""Sampling intervals by which two clocks may run apart over a record and still count as of equal rate."""
+"""Drift between two clocks over a record, in sampling intervals [1], below which they count as of equal rate."""
 
 
 def on_one_clock(raw: RawColumns) -> RawColumns:
-    """Put columns that each have a clock of their own on the clock of the fastest.
+    """Return the columns of a file, each with a clock of its own, on the clock of the fastest.
 
     Columns of the highest rate keep their samples as they are. The clock spans the time that all of them cover;
     where their starts differ, each reading stands in the row nearest to its own time, and what is left, at most half
     an interval, becomes the delay of the column's sensor, so that nothing is lost by interpolation.
 
     Slower columns are interpolated linearly, by their own start times. They are held for one of their own intervals
-    before their first sample and after their last, and missing beyond. A column that is more than twice slower keeps
-    what it has, no more: nothing above half of its own rate is in it, linear interpolation leaves about
-    sinc^2(f / rate) of a tone at f (0.4 of it at half the rate, 0.97 at a tenth), and its noise is correlated from
-    row to row. That suits angles, pressures and temperatures; a load or an acceleration belongs on the fast clock.
+    before their first sample and after their last, and missing (NaN) beyond. Interpolation adds no information:
+    nothing above half of its own rate is in a slow column, linear interpolation leaves about sinc^2(f / rate) of the
+    amplitude of a tone at f (0.4 of it at half the rate, 0.97 at a tenth), and the noise is correlated from row to
+    row. That suits angles, pressures and temperatures; a load or an acceleration belongs on the fast clock.
 
     Parameters
     ----------
@@ -39,7 +43,7 @@ def on_one_clock(raw: RawColumns) -> RawColumns:
     Returns
     -------
     RawColumns
-        The same columns, all of n cells, with `rate` and `start`.
+        The same columns, all of n cells, with a common `rate` [Hz] and `start` [s].
 
     Raises
     ------
@@ -68,7 +72,7 @@ def on_one_clock(raw: RawColumns) -> RawColumns:
         if peer:
             delay = origin + shift * interval - clock.start
             values = column.values[first - shift : last - shift]
-            # Start times are differences of stamps that count from 1904: below a nanosecond there is nothing in them.
+            # start times are differences of stamps that count from 1904: less than a nanosecond is rounding
             sensor = replace(column.sensor, delay=delay if abs(delay) > 1e-9 else 0.0)
             placed.append(replace(column, values=values, clock=None, sensor=sensor))
         else:
@@ -78,6 +82,7 @@ def on_one_clock(raw: RawColumns) -> RawColumns:
 
 
 def _clock(raw: RawColumns, column: RawColumn) -> Clock:
+    """Clock of a column; refuse one without."""
     if column.clock is None:
         raise ReadError(
             raw.path,
@@ -106,19 +111,19 @@ def _check_overlap(raw: RawColumns, peers: list[bool], span: tuple[int, int]) ->
 
 
 def _interpolated(values: Array, clock: Clock, time: Array) -> Array:
-    """Interpolate linearly, held for one interval at the ends, NaN beyond."""
+    """Values (m,) interpolated linearly at times [s], shape (n,): held for one interval at the ends, NaN beyond."""
     if values.size == 0:
         return np.full(time.shape, np.nan)
     own = clock.start + np.arange(values.size) * clock.interval
     found = np.interp(time, own, values)
-    # Half a millionth of an interval is the rounding of the stamps.
+    # stamps are rounded: a row one interval off must not be lost by the last digits
     reach = (1 + 5e-7) * clock.interval
     found[(time < own[0] - reach) | (time > own[-1] + reach)] = np.nan
     return found
 
 
 def of_one_length(raw: RawColumns) -> RawColumns:
-    """Make sure that all columns have as many cells.
+    """Return the columns as they are, if all have the same number of cells.
 
     Raises
     ------
@@ -140,12 +145,15 @@ def of_one_length(raw: RawColumns) -> RawColumns:
 
 
 def steady_clock_of(read: Callable[[int, int], Array], samples: int) -> Clock | None:
-    """The steady clock that fits a column of times by least squares; None where a stamp departs from it.
+    """Return start and interval [s] of evenly spaced time stamps, by least squares; None where they are not even.
+
+    They are not where one departs from the fit by `JITTER_ALLOWED` of an interval. The times are read twice, piece by
+    piece, so that a long column is never in memory as a whole.
 
     Parameters
     ----------
     read
-        Times of the samples from one to another (not included) [s].
+        Gives the times [s] of the samples from one number to another, the last not included.
     samples
         Number of samples.
     """
@@ -162,6 +170,7 @@ def steady_clock_of(read: Callable[[int, int], Array], samples: int) -> Clock | 
         since = part - origin
         total += float(since.sum())
         along += float((places - middle) @ since)
+    # slope of the straight line: sum of (k - middle)^2 is n (n^2 - 1) / 12
     interval = along / (samples * (samples**2 - 1.0) / 12) if samples > 1 else np.nan
     start = total / samples - interval * middle
     if not interval > 0:
