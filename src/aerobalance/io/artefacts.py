@@ -1,4 +1,9 @@
-"""What every JSON artefact shares: numbers with uncertainty and unit, covariance, provenance, reading and writing."""
+"""Artefacts: the JSON files that hold a result for later use, such as dynamics.json, mass.json and balance.json.
+
+Here is what all of them share: numbers with standard uncertainty and unit, covariance matrices, provenance (from which
+files, with which settings, by which version), reading with checks, and writing. What each of them holds is in the
+module of its name, such as `dynamics_file`; docs/formats.md lists the keys.
+"""
 
 from __future__ import annotations
 
@@ -21,10 +26,20 @@ from aerobalance.recording.errors import ReadError
 from aerobalance.recording.version import VERSION
 
 BY_HAND: Final = "by hand"
-"""Key of the validation's context under which stands whether a file was written by hand."""
+"""Key in the context of pydantic's validation; its value says whether a person wrote the file."""
 
 SCHEMA: Final = 1
 """Version of the structure of the artefacts."""
+
+_ASYMMETRY: Final = 1e-9
+"""Difference of opposite elements of a covariance, over the product of the standard deviations, up to which it counts
+as symmetric [1]: rounding to ten digits."""
+
+_NOT_NEGATIVE: Final = -1e-6
+"""Least eigenvalue with which a correlation matrix counts as positive semidefinite [1]: rounding to six digits."""
+
+_SAME_DEVIATION: Final = 1e-6
+"""Relative difference up to which a standard uncertainty agrees with its variance [1]: rounding to six digits."""
 
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -34,20 +49,21 @@ _Entry = TypeVar("_Entry")
 
 
 class Loose(BaseModel):
-    """Part of an artefact.
+    """Part of an artefact, with types checked strictly, and loose in one thing: keys that it does not know.
 
-    A key that is not known is passed over where the program wrote the file, perhaps in another version, and refused
-    where a hand did, as it may be a slip of the pen.
+    An unknown key is passed over where this program wrote the file, since a later version may have added it, and
+    refused where a person did, since it may be a typing error that would leave a setting without effect.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
 
     for_people: ClassVar[frozenset[str]] = frozenset()
-    """Keys that the program writes and does not read."""
+    """Keys for people to read: the program writes them and does not read them, and they may stand in any file."""
 
     @model_validator(mode="before")
     @classmethod
-    def _without_what_is_not_read(cls, given: Any, info: ValidationInfo) -> Any:
+    def _without_unknown_keys(cls, given: Any, info: ValidationInfo) -> Any:
+        """Leave out what may be passed over; what is left and unknown is refused by ``extra="forbid"``."""
         if not isinstance(given, dict):
             return given
         known = {field.alias or name for name, field in cls.model_fields.items()}
@@ -77,7 +93,7 @@ class NotNegativeValue(Value):
 
 
 class Covariance(Loose):
-    """A covariance matrix with the names of its rows."""
+    """A covariance matrix with the names of its rows, in the units of the parameters."""
 
     parameters: list[str]
     matrix: list[list[Finite]]
@@ -149,7 +165,7 @@ def provenance(inputs: Sequence[Path], *, settings: Mapping[str, object] | None 
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a file; of a folder that of the names and digests of its files.
+    """Return the SHA-256 of a file as hexadecimal text; of a folder, that of the names and digests of its files.
 
     Raises
     ------
@@ -182,7 +198,7 @@ def json_text(payload: Mapping[str, object]) -> str:
 
 
 def _plain(item: object) -> object:
-    """Turn arrays, numpy numbers, paths and what is not finite into plain data."""
+    """Return what JSON can hold: arrays as lists, paths as names, numbers that are not finite as None."""
     if isinstance(item, Mapping):
         return {str(key): _plain(value) for key, value in item.items()}
     if isinstance(item, (list, tuple)):
@@ -199,13 +215,24 @@ def _plain(item: object) -> object:
 
 
 IN_EVERY_FILE: Final = frozenset({"schema", "warnings", "provenance", "description", "comment"})
-"""Keys for people that every artefact may have."""
+"""Keys for people that every artefact may have; `for_people` of its parts adds their own."""
 
 _JSON_NAMES: Final = {list: "an array", str: "a string", int: "a number", float: "a number", bool: "true or false"}
 
 
 def load(path: Path, kind: str, model: type[_Model], *, former: str = "") -> _Model:
-    """Return the checked contents of a JSON file; `former` is what earlier versions called its kind.
+    """Return the checked contents of a JSON artefact.
+
+    Parameters
+    ----------
+    path
+        The file.
+    kind
+        What it has to hold, as its key ``kind`` says, where it has one.
+    model
+        The class that checks it.
+    former
+        What earlier versions called this kind; an empty string for no other name.
 
     Raises
     ------
@@ -257,7 +284,7 @@ def _by_program(given: Mapping[str, Any]) -> bool:
 def entries_of(
     path: Path, components: Mapping[str, _Entry], allowed: Collection[str], *, what: str = "component"
 ) -> Iterator[tuple[str, str, _Entry]]:
-    """Components of an artefact one after the other: name, key in the file, and what stands there.
+    """Yield for each component of an artefact its name, its place in the file for messages, and what stands there.
 
     Raises
     ------
@@ -271,19 +298,30 @@ def entries_of(
 
 
 def check_unit(path: Path, where: str, value: Value, unit: str) -> None:
-    """Refuse a unit other than the one inside.
+    """Refuse a unit other than the SI unit that the program works in; a value without a unit is taken to be in it.
 
     Raises
     ------
     ReadError
-        With the key.
+        The unit is another one; the message says at which key.
     """
     if value.unit is not None and value.unit != unit:
         raise ReadError(path, where, f"is {value.unit!r}; allowed: {unit!r} (artefacts are in SI units)")
 
 
 def checked_covariance(path: Path, where: str, given: Covariance | None, deviations: Mapping[str, float]) -> Array:
-    """Put a covariance in the order of the parameters; without one, the uncertainties are uncorrelated.
+    """Return the covariance matrix of parameters in the order of `deviations`, shape (p, p).
+
+    Parameters that it does not name are uncorrelated with all others; without a covariance all are.
+
+    Parameters
+    ----------
+    path, where
+        The file and the key, for messages.
+    given
+        The covariance as the file has it.
+    deviations
+        Standard uncertainty of each parameter, by name.
 
     Raises
     ------
@@ -303,15 +341,15 @@ def checked_covariance(path: Path, where: str, given: Covariance | None, deviati
     if (variances < 0).any():
         raise ReadError(path, f"{where}.matrix", "has a negative variance; variances of zero or more are needed")
     scale = np.outer(np.sqrt(variances), np.sqrt(variances))
-    if (np.abs(matrix - matrix.T) > 1e-9 * scale).any():
+    if (np.abs(matrix - matrix.T) > _ASYMMETRY * scale).any():
         raise ReadError(path, f"{where}.matrix", "is not symmetric")
     correlation = np.divide(matrix, scale, out=np.zeros_like(matrix), where=scale > 0)
-    if (np.abs(matrix[scale == 0]) > 0).any() or (size and np.linalg.eigvalsh(correlation)[0] < -1e-6):
+    if (np.abs(matrix[scale == 0]) > 0).any() or (size and np.linalg.eigvalsh(correlation)[0] < _NOT_NEGATIVE):
         raise ReadError(
             path, f"{where}.matrix", "is no covariance: a combination of parameters has a negative variance"
         )
     for name, variance in zip(given.parameters, variances, strict=True):
-        if abs(np.sqrt(variance) - deviations[name]) > 1e-6 * max(np.sqrt(variance), deviations[name]):
+        if abs(np.sqrt(variance) - deviations[name]) > _SAME_DEVIATION * max(np.sqrt(variance), deviations[name]):
             raise ReadError(
                 path,
                 f"{where}.matrix",
