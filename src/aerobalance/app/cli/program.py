@@ -1,4 +1,8 @@
-"""All commands, and how their errors become exit codes."""
+"""The command line: all commands in one program, and the message and exit code of each error.
+
+Exit codes are 0 for a result; 1 where the data allow none (`FitError`), and for a fault of the program itself; 2 for a
+wrong call or an unreadable file; 130 after Ctrl-C. An error is one line on standard error and never a traceback.
+"""
 
 from __future__ import annotations
 
@@ -93,34 +97,35 @@ for part in (recordings, taps, runs, campaigns):
 
 def main(arguments: list[str] | None = None) -> int:
     """Run one command; return its exit code."""
-    told: set[str] = set()
+    shown: set[str] = set()  # the same warning is shown once
 
     def warn(message: Warning | str, *_: object, **__: object) -> None:
         text = streams.plain(as_options(" ".join(str(message).split())))
-        if text not in told:
-            told.add(text)
-            print(f"warning: {text}", file=sys.stderr)  # noqa: T201 - this is the edge
+        if text not in shown:
+            shown.add(text)
+            print(f"warning: {text}", file=sys.stderr)  # noqa: T201 - the command line speaks to people
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", DataQualityWarning)
-        warnings.showwarning = warn  # at once, as `record` runs for hours
+        warnings.showwarning = warn  # shown at once and not at the end, as `record` runs for hours
         try:
-            return _run(_typed() if arguments is None else arguments)
-        except BrokenPipeError:  # whoever reads the answer has seen enough of it
+            return _run(_arguments() if arguments is None else arguments)
+        except BrokenPipeError:  # the reader of a pipe, such as head, has closed it: no error
+            # else Python would fail once more when it flushes standard output at exit
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 0
         finally:
             streams.clean_up()
 
 
-def _typed() -> list[str]:
-    """Words after the program's name; shells of Windows leave patterns of files to the program."""
+def _arguments() -> list[str]:
+    """Arguments as typed; on Windows with patterns such as *.txt replaced by files, which shells do elsewhere."""
     return sys.argv[1:] if os.name != "nt" else with_files(sys.argv[1:])
 
 
 def with_files(words: Sequence[str]) -> list[str]:
-    """Return words with the files in the place of each pattern that some match, such as pitch_*.txt."""
+    """Return arguments with each pattern, such as pitch_*.txt, replaced by the files that match it, if any do."""
     given: list[str] = []
     for word in words:
         pattern = Path(word)
@@ -130,7 +135,7 @@ def with_files(words: Sequence[str]) -> list[str]:
 
 
 def _run(words: Sequence[str]) -> int:
-    """Run one command; give the exit code of what goes wrong, and say it."""
+    """Run one command; show the error, if there is one, and return the exit code."""
     try:
         result = _command()(words, prog_name=PROGRAM, standalone_mode=False)
     except FitError as problem:
@@ -151,9 +156,9 @@ def _run(words: Sequence[str]) -> int:
 
 @cache
 def _command() -> Any:
-    """Make the commands, with flags shown as such, no value follows them, and types in everyday words."""
+    """Return the program with a help that shows no value behind flags, and types of values in everyday words."""
     command = typer.main.get_command(app)
-    waiting = [command]
+    waiting = [command]  # commands and groups of commands whose help is not changed yet
     while waiting:
         present = waiting.pop()
         waiting += getattr(present, "commands", {}).values()
@@ -173,11 +178,11 @@ TYPES: Final = {
     "float range": "number",
     "Path": "path",
 }
-"""What `--help` calls the kind of a value, by the name that it has in Python."""
+"""Name of the type of a value in `--help`, by its name in Python."""
 
 
 def _in_words(shown: Callable[[typer.Context], str | None], context: typer.Context) -> str | None:
-    """Return the type that the parser would show, without the words of a programmer."""
+    """Return the type of a value in everyday words; `shown` is what the parser would show for it."""
     kind = shown(context)
     if kind is None:
         return None
@@ -187,7 +192,8 @@ def _in_words(shown: Callable[[typer.Context], str | None], context: typer.Conte
 
 
 def _from_parser(problem: Exception, words: Sequence[str]) -> int:
-    """Exit code for what the parser raises, or for a fault of the program itself."""
+    """Show what is wrong with the arguments, or that the program itself failed; return the exit code."""
+    # errors of the parser are known by this method: by the version of typer their classes are click's or a copy
     describe = getattr(problem, "format_message", None)
     if not callable(describe):
         what = f"{type(problem).__name__}: {problem}"
@@ -200,11 +206,11 @@ def _from_parser(problem: Exception, words: Sequence[str]) -> int:
         return 2
     command = context.command_path if context is not None else PROGRAM
     text = describe().replace("Value error, ", "").rstrip(".")
-    return _end(f"error: {_of_flags(text, words, context)}; see {command} --help", 2)
+    return _end(f"error: {_or_value_of_flag(text, words, context)}; see {command} --help", 2)
 
 
-def _of_flags(text: str, words: Sequence[str], context: Any) -> str:
-    """Say it where an extra word stands behind a flag, as if it were its value."""
+def _or_value_of_flag(text: str, words: Sequence[str], context: Any) -> str:
+    """Return a message of the parser, or a plainer one where an argument too many was meant as value of a flag."""
     if "unexpected extra argument" not in text or context is None:
         return text
     flags = {name for option in context.command.params if getattr(option, "is_flag", False) for name in option.opts}
@@ -215,12 +221,13 @@ def _of_flags(text: str, words: Sequence[str], context: Any) -> str:
 
 
 def _failed(problem: Exception, code: int) -> int:
-    """Return what went wrong, and what was written before."""
+    """Show an error with its notes, such as which files were written before it; return the exit code."""
     return _end(
         f"error: {'; '.join([as_options(str(problem)).rstrip('.'), *getattr(problem, '__notes__', ())])}", code
     )
 
 
 def _end(text: str, code: int) -> int:
-    print(streams.plain(" ".join(text.split())), file=sys.stderr)  # noqa: T201 - this is the edge
+    """Show a message as one line on standard error; return the exit code."""
+    print(streams.plain(" ".join(text.split())), file=sys.stderr)  # noqa: T201 - the command line speaks to people
     return code
