@@ -20,9 +20,12 @@ from aerobalance.acquisition.setup import setup_from
 from aerobalance.app.campaign.definition import definition_from
 from aerobalance.app.cli import main
 from aerobalance.app.cli.program import app, with_files
+from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.io.dynamics_file import read_dynamics
 from aerobalance.recording.errors import DataQualityWarning
+from aerobalance.simulation.hammer import Blow, Tapping
 from aerobalance.simulation.published import CABLE_CUT
+from aerobalance.simulation.six_balance import random_balance
 from helpers.pages import README, ROOT, commands, fenced, python
 
 WAIT = 60.0
@@ -181,6 +184,38 @@ def test_python_of_the_page_on_live_forces_gives_them_as_readings_come(rng):
     assert late.mean() == pytest.approx(100, abs=5 * np.hypot(1.0, 1e-3 * CABLE_CUT.dynamics.mass) / np.sqrt(count))
     assert seen[0][-1] is None  # nothing is known of its health before there is a force
     assert seen[-1][-1].missing == 0
+
+
+def test_python_of_the_page_on_live_forces_gives_those_of_six_components(rng):
+    dynamics = random_balance(rng).dynamics
+    noise = {name: rng.normal(size=RATE * SECONDS) for name in dynamics.components}
+    seen = []
+    names = {"ab": ab, "dynamics": dynamics, "source": Blocks(noise), "show": lambda *given: seen.append(given)}
+    exec(block("docs/live.md", 1), names)
+    force, u, _ = seen[-1]
+    assert force.size and np.isfinite(u).all()
+    # of forces that are none and forces found from noise of 1 N*m alone, nine in ten within two u
+    late = seen[len(seen) // 2 :]
+    within = np.concatenate([np.abs(force) < 2 * u for force, u, _ in late])
+    assert within.mean() > 0.9
+    assert set(names["found"]) == set(dynamics.components)
+
+
+def test_python_of_the_page_on_taps_tells_the_dynamics(rng):
+    inertia = np.diag([1 / (2 * np.pi * f) ** 2 for f in (60.0, 80.0)])
+    truth = CoupledDynamics(("NF", "SF"), inertia, 0.04 * np.sqrt(inertia))
+    tapped = [((0.0, 0.0, 0.0), (0.0, 0.0, -1.0)), ((0.0, 0.0, 0.0), (0.0, 1.0, 0.0))]
+    recordings = []
+    for place, direction in tapped:
+        loads = ab.TapPoint(place, direction).loads[[0, 2]]
+        blows = (Blow(0.2, 1000.0, 0.003),)
+        one = Tapping(truth, loads, blows, noise=np.ones(2), rest=np.zeros(2), rate=4000.0)
+        recordings.append(one.record(1.7, rng))
+    names = {"recordings": recordings, "tapped": tapped, "mass": None}
+    exec(block("docs/taps.md"), names)
+    modes = names["found"].dynamics.modes
+    assert [mode.natural_frequency for mode in modes] == pytest.approx([60.0, 80.0], rel=1e-3)
+    assert names["found"].verdict == "fit for use"
 
 
 def test_python_of_the_page_on_campaigns_reads_what_one_wrote(folder, monkeypatch, capsys):
