@@ -45,10 +45,11 @@ def test_a_record_begins_at_the_press_and_says_at_once_that_it_starts(running) -
     assert states[0] == "starting"
     ended(running)
     blocks = [feed.take()]
-    while blocks[-1].received < steady:
+    while blocks[-1].received < steady + 0.3:
         blocks.append(feed.take())
     feed.close()
-    expected = blocks[-1].end - (blocks[-1].received - steady) * 1600
+    # a block may come late beside other tests, and none comes early
+    expected = max(one.end - (one.received - steady) * 1600 for one in blocks if one.received >= steady)
     found = contents(running.folder / "pressed.h5")
     first = int(found.blocks["tick"][0])
     print(f"first sample {(first - expected) / 1.6:.1f} ms after the press")  # noqa: T201

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-import numba
 import numpy as np
 
 from aerobalance.estimation.statespace._kernels import (
@@ -23,6 +22,7 @@ from aerobalance.estimation.statespace._kernels import (
     update_covariance,
 )
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, LOAD_RATE, StateSpace
+from aerobalance.recording.compiled import compiled
 
 TOLERANCE = 1e-13
 """Relative change of the covariance in one sample below which it is taken to stand still."""
@@ -79,7 +79,7 @@ class Gains(NamedTuple):
     S: Floats
 
 
-@numba.njit(cache=True)
+@compiled()
 def _resized(table: Floats, rows: int) -> Floats:
     """Copy the first rows of a table into one of another length."""
     out = np.empty((rows, table.shape[1]))
@@ -89,7 +89,7 @@ def _resized(table: Floats, rows: int) -> Floats:
     return out
 
 
-@numba.njit(cache=True)
+@compiled()
 def gains(
     present: Flags, model: Model, initial: Floats, kept: int, tolerance: float
 ) -> tuple[Integers, Floats, Floats, Floats]:
@@ -134,7 +134,7 @@ def gains(
     return row, _resized(table_P, used), _resized(table_K, used), _resized(table_S, used)
 
 
-@numba.njit(cache=True)
+@compiled()
 def filtered(y: Floats, present: Flags, model: Model, gains: Gains, wanted: Integers) -> tuple[Floats, Floats]:
     """Run the filter on several series (n, c), each from a zero state.
 
@@ -157,7 +157,7 @@ def filtered(y: Floats, present: Flags, model: Model, gains: Gains, wanted: Inte
     return predicted, v
 
 
-@numba.njit(cache=True)
+@compiled()
 def smooth(states: Floats, v: Floats, present: Flags, model: Model, gains: Gains, wanted: Integers) -> None:  # noqa: PLR0917
     """Turn the predicted states of `filtered` into states given all observations.
 
@@ -187,7 +187,7 @@ def smooth(states: Floats, v: Floats, present: Flags, model: Model, gains: Gains
                 r[series, i] = before[i]
 
 
-@numba.njit(cache=True)
+@compiled()
 def smoothed_variance(present: Flags, model: Model, gains: Gains, wanted: int, tolerance: float) -> Floats:
     """Compute the variance of one state given all observations, shape (n,).
 
