@@ -75,12 +75,20 @@ def summary(rows: list[dict[str, Any]]) -> list[str]:
     named = sum(bool(set(row["kinds"]) & set(row["expected"])) for row in large)
     unfit = sum(row["refused"] or row["verdict"] != FIT for row in wrong)
     doubted = sum(row["refused"] or row["verdict"] != FIT for row in sound)
+    missed = len(large) - told
+    right = sum(bool(set(row["kinds"]) & set(row["expected"])) for row in wrong if not row["refused"])
+    seen = sum(not row["refused"] and row["verdict"] != FIT for row in wrong)
+    square = sum((row["error"] / row["u"]) ** 2 for row in sound if not row["refused"] and row["u"]) / len(sound)
+    share = 100 * unfit / (unfit + missed)
     return [
         f"- {doubted} of {len(sound)} sound records are doubted.",
         f"- {len(wrong)} records have a fault that they can show; {unfit} of these are doubted or refused.",
         "- What a doubt does to the force is in u, so the error of most of these is no more than 3 u.",
         f"- The error of {len(large)} is more than 3 u.",
-        f"- {told} of these {len(large)} are not called fit for use; of {named} the fault is named rightly.\n",
+        f"- {told} of these {len(large)} are not called fit for use; of {named} the fault is named rightly.",
+        f"- Of the {unfit + missed} that are doubted or refused, or should be, {share:.2f} % are.",
+        f"- {seen} have a force with a doubt; of {right} of these, {100 * right / seen:.1f} %, it names the fault.",
+        f"- Of the sound records error over u is {square**0.5:.3f}, rms.\n",
     ]
 
 
