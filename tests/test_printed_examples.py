@@ -14,6 +14,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import typer
+from asammdf import MDF, Signal
+from nptdms import ChannelObject, TdmsWriter
 
 import aerobalance as ab
 from aerobalance.acquisition.setup import setup_from
@@ -248,6 +250,67 @@ def test_the_test_file_of_the_page_on_campaigns_is_one():
     found = definition_from(tomllib.loads(text))
     assert [setup.balance for setup in found.setups] == ["balance.json", "balance_2.json"]
     assert re.search(found.runs.pattern, "runs/run_201_a-2.5.h5").groupdict() == {"run": "201", "alpha": "-2.5"}
+
+
+def test_the_files_and_maps_of_the_page_on_files_are_read(tmp_path, rng):
+    page = ROOT / "docs/files.md"
+    first = next(body for body in tables(page, "") if body.startswith("time [s],AF [N]"))
+    head, row = first.splitlines()[:2]
+    assert row.startswith("0.000,")
+    rows = [f"{k / 1000:.3f},{row.split(',', 1)[1]}" for k in range(40)]
+    (tmp_path / "run.csv").write_text("\n".join([head, *rows]) + "\n")
+    found = ab.read(tmp_path / "run.csv")
+    assert {"AF", "ground_acceleration", "pitch"} <= set(found.channels)
+    sensor = next(body for body in tables(page, "") if "cross_axis" in body)
+    tap = next(body for body in tables("docs/taps.md", "") if "impact_force" in body)
+    names = ["a_x", "a_y", "a_z", "Hammer"]
+    rows = [",".join(f"{one:.6g}" for one in (k / 1000, *rng.normal(size=4))) for k in range(40)]
+    (tmp_path / "lab.csv").write_text("\n".join([",".join(["time [s]", *names]), *rows]) + "\n")
+    more = [f'[channels.ground_acceleration_{axis}]\ncolumn = "a_{axis}"\nunit = "g"\n' for axis in "yz"]
+    (tmp_path / "map.toml").write_text("\n".join([sensor, tap, *more]))
+    found = ab.read(tmp_path / "lab.csv", channel_map=tmp_path / "map.toml")
+    ground = found.channel("ground_acceleration")
+    assert ground.relative_uncertainty == 0.01
+    assert [one.channel for one in ground.cross_axis] == ["ground_acceleration_z", "ground_acceleration_y"]
+    assert found.channel("impact_force").place == (-0.25, 0.0, 0.02)
+
+
+def test_the_line_of_the_page_on_files_makes_one_recording_of_two(tmp_path, rng, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (line,) = [one for one in commands((ROOT / "docs/files.md").read_text(encoding="utf-8")) if "loads.tdms" in one]
+
+    def turned(rate):
+        """Pitch of 0-40 Hz that both systems read [deg], and its times [s]."""
+        time = np.arange(int(8 * rate)) / rate
+        return time, sum(np.cos(2 * np.pi * f * time + phase) for f, phase in motion)
+
+    motion = list(zip(rng.uniform(0.5, 40, 60), rng.uniform(0, 6, 60), strict=True))
+    _, pitch = turned(2000.0)
+    settings = {"wf_increment": 1 / 2000.0, "wf_xname": "Time", "wf_xunit_string": "s"}
+    with TdmsWriter(tmp_path / "loads.tdms") as file:
+        for name, values in (("Kanal 1", rng.normal(size=pitch.size)), ("Winkel", pitch)):
+            file.write_segment([ChannelObject("run", name, values, properties=settings)])
+    time, pitch = turned(1000.0)
+    with MDF(version="4.10") as file:
+        file.append([Signal(rng.normal(size=time.size), time, name="a_x"), Signal(pitch, time, name="angle")])
+        file.save(tmp_path / "accelerations.mf4")
+    angle = '[channels.pitch]\ncolumn = "{}"\nunit = "deg"\n'
+    (tmp_path / "loads.toml").write_text(f'[channels.AF]\ncolumn = "Kanal 1"\nunit = "N"\n{angle.format("Winkel")}')
+    (tmp_path / "accelerations.toml").write_text(
+        f'[channels.ground_acceleration]\ncolumn = "a_x"\nunit = "m/s^2"\n{angle.format("angle")}'
+    )
+    assert main(words_of(line)) == 0, capsys.readouterr().err
+    found = ab.read("run.h5")
+    assert {"AF", "ground_acceleration", "pitch"} <= set(found.channels)
+    assert found.rate == pytest.approx(2000.0)
+
+
+def test_the_line_of_the_page_on_campaigns_takes_a_test_file(folder, monkeypatch, capsys):
+    monkeypatch.chdir(folder)
+    line = commands((ROOT / "docs/campaign.md").read_text(encoding="utf-8"))[1]
+    (folder / "test.toml").write_text('[runs]\nfiles = "runs/*"\n[[setups]]\ndynamics = "dynamics.json"\n')
+    assert main(words_of(line.replace("-o results", "-o results_of_test"))) == 0, capsys.readouterr().err
+    assert (folder / "results_of_test" / "summary.parquet").stat().st_size > 0
 
 
 @pytest.mark.parametrize("line", from_how_to())
