@@ -305,12 +305,14 @@ def test_the_line_of_the_page_on_files_makes_one_recording_of_two(tmp_path, rng,
     assert found.rate == pytest.approx(2000.0)
 
 
-def test_the_line_of_the_page_on_campaigns_takes_a_test_file(folder, monkeypatch, capsys):
-    monkeypatch.chdir(folder)
+def test_the_line_of_the_page_on_campaigns_takes_a_test_file(folder, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    shutil.copytree(folder / "runs", "runs")
+    shutil.copy(folder / "dynamics.json", ".")
     line = commands((ROOT / "docs/campaign.md").read_text(encoding="utf-8"))[1]
-    (folder / "test.toml").write_text('[runs]\nfiles = "runs/*"\n[[setups]]\ndynamics = "dynamics.json"\n')
-    assert main(words_of(line.replace("-o results", "-o results_of_test"))) == 0, capsys.readouterr().err
-    assert (folder / "results_of_test" / "summary.parquet").stat().st_size > 0
+    (tmp_path / "test.toml").write_text('[runs]\nfiles = "runs/*"\n[[setups]]\ndynamics = "dynamics.json"\n')
+    assert main(words_of(line)) == 0, capsys.readouterr().err
+    assert (tmp_path / "results" / "summary.parquet").stat().st_size > 0
 
 
 @pytest.mark.parametrize("line", from_how_to())
