@@ -76,8 +76,9 @@ def summary(rows: list[dict[str, Any]]) -> list[str]:
     unfit = sum(row["refused"] or row["verdict"] != FIT for row in wrong)
     doubted = sum(row["refused"] or row["verdict"] != FIT for row in sound)
     missed = len(large) - told
-    right = sum(bool(set(row["kinds"]) & set(row["expected"])) for row in wrong if not row["refused"])
-    seen = sum(not row["refused"] and row["verdict"] != FIT for row in wrong)
+    told_of = [row for row in wrong if not row["refused"] and row["verdict"] != FIT]
+    right = sum(bool(set(row["kinds"]) & set(row["expected"])) for row in told_of)
+    seen = len(told_of)
     square = sum((row["error"] / row["u"]) ** 2 for row in sound if not row["refused"] and row["u"]) / len(sound)
     share = 100 * unfit / (unfit + missed)
     return [
