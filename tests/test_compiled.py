@@ -53,6 +53,36 @@ def test_the_compiler_is_loaded_by_the_first_loop_that_is_called():
     assert done.stdout == "False True\n"
 
 
+TWO_THREADS = """
+import threading, time
+from aerobalance.recording import compiled as module
+made, begun = module._made, threading.Event()
+def slow(function, options):
+    if "called" in function.__qualname__:
+        begun.set()
+        time.sleep(0.3)
+    return made(function, options)
+module._made = slow
+@module.compiled()
+def called(x):
+    return 2 * x
+@module.compiled()
+def calling(x):
+    return called(x) + 1
+first = threading.Thread(target=calling, args=(1,))
+first.start()
+begun.wait()
+print(calling(3))
+first.join()
+"""
+
+
+def test_two_threads_may_be_the_first_to_call():
+    """The second must not compile before what is called is in the compiler's hands too."""
+    done = subprocess.run([sys.executable, "-c", TWO_THREADS], capture_output=True, text=True, check=False)
+    assert done.stdout == "7\n", done.stderr[-500:]
+
+
 KERNELS = """
 from typing import NamedTuple
 import numpy as np

@@ -79,11 +79,12 @@ def compiled(*, inner: bool = False, **options: Any) -> Callable[[Function], Fun
 class _Compiled:
     """A function that is handed to the compiler at its first call, with what it calls."""
 
-    __slots__ = ("_compiler", "_options", "py_func")
+    __slots__ = ("_compiler", "_made", "_options", "py_func")
 
     def __init__(self, function: Callable[..., Any], options: dict[str, Any]) -> None:
         self.py_func, self._options = function, options
-        self._compiler: Callable[..., Any] | None = None
+        self._made: Callable[..., Any] | None = None
+        self._compiler: Callable[..., Any] | None = None  # the same, once all that the function calls is made too
 
     def __call__(self, *arguments: Any) -> Any:
         return (self._compiler or self.handed_over())(*arguments)
@@ -91,13 +92,14 @@ class _Compiled:
     def handed_over(self) -> Callable[..., Any]:
         """What compiles the function for the types of arguments that it is called with, and calls it."""
         with _HANDING:
-            if self._compiler is None:
-                self._compiler = _made(self.py_func, self._options)
+            if self._made is None:
+                self._made = _made(self.py_func, self._options)
                 place = self.py_func.__globals__
                 for name, value in list(place.items()):  # the compiler takes a name for what stands there
                     if isinstance(value, _Compiled):
                         place[name] = value.handed_over()
-            return self._compiler
+                self._compiler = self._made
+            return self._made
 
 
 _HANDING: Final = RLock()
