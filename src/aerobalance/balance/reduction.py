@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from dataclasses import KW_ONLY, dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -14,17 +15,16 @@ from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.weighing import Weighing
 from aerobalance.balance.weight_on_zero import WeightOnZero, attitudes_of, settled_zero, weight_on_zero, zero_or_mean
 from aerobalance.balance.wind_off import wind_off_loads
-from aerobalance.balance.zeros import CarriedWeight, Zero, gauge_table
+from aerobalance.balance.zeros import CarriedWeight, GaugeZero, Zero, gauge_table
 from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
-from aerobalance.recording.errors import FitError, argument, warn_quality
+from aerobalance.recording.errors import FitError, argument, kept_warnings, warn_quality
 from aerobalance.recording.gravity import GravityOnZero
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
 
 
-@one_blas_thread()
 def reduce_outputs(
     recording: Recording,
     balance: BalanceMatrix | Calibration,
@@ -62,34 +62,92 @@ def reduce_outputs(
     FitError
         The recordings do not go together; or the run is its own zero or only tare.
     """
-    recording, balance = corrected(recording), matrix_of(balance)
-    _check_at_rest(recording, zero, tare, balance)
-    if isinstance(tare, Weighing) and model is not None:
-        raise ValueError(
-            f"the weight comes from the mass in the dynamics; a weighing as {argument('tare')} would take it off twice"
-        )
-    if balance.direct is None and not set(balance.components) <= set(COMPONENTS):
-        warn_quality(
-            f"the balance matrix lacks the distances of the gauges: the loads stay {', '.join(balance.components)}. "
-            f"Calibrate with {argument('Schedule.geometry')} to have NF PM SF YM RM AF"
-        )
-    if isinstance(tare, Weighing):
-        return _weight_off(recording, balance, tare, zero=zero, form=form)
-    carried = None
-    if model is not None and not tare and zero is not None:
-        carried = weight_on_zero(zero.recordings, model, gravity=gravity, pitched="pitch" in recording)
-    counted = settled_zero(zero, balance, carried)
-    if tare:  # an error of the zero is in them as well
-        counted = zero_or_mean(counted, tare, balance)
-        counted = None if counted is None else replace(counted, from_natural={})
-        off = wind_off_loads(recording, tare, balance, zero=counted, form=form)
-        loads = loads_of_outputs(recording, balance, zero=counted, tare=off, form=form)
-        return loads if model is None else replace(loads.without_gravity, ready=True)
-    loads = loads_of_outputs(recording, balance, zero=counted, form=form)
-    attitude = "pitch" in recording or any(channel.coupling == "dc" for channel in recording)
-    if model is None:
-        return loads
-    return replace(loads if attitude else loads.without_weight_of_zero, ready=True)
+    return OutputReduction(balance, zero=zero, model=model, tare=tare, gravity=gravity, form=form).loads(recording)
+
+
+def reduction_of(
+    balance: BalanceMatrix | Calibration | None,
+    *,
+    zero: Zero | None = None,
+    model: CarriedWeight | None = None,
+    tare: Sequence[Recording] | Weighing = (),
+    gravity: float = STANDARD_GRAVITY,
+) -> Callable[[Recording | Loads], Recording | Loads]:
+    """What makes balance loads [N, N*m] of gauge outputs as `reduce_outputs`, and leaves loads as they are.
+
+    Without a balance matrix recordings are left as they are as well.
+    """
+    if balance is None:
+        return lambda given: given
+    reduction = OutputReduction(balance, zero=zero, model=model, tare=tare, gravity=gravity)
+    return lambda given: given if isinstance(given, Loads) else reduction.loads(given)
+
+
+@dataclass(frozen=True, eq=False)
+class OutputReduction:
+    """How gauge outputs of one run, or of its parts one after the other, become balance loads: as `reduce_outputs`.
+
+    What hangs on the zero and the balance alone is worked out once for all parts.
+    """
+
+    balance: BalanceMatrix | Calibration
+    _: KW_ONLY
+    zero: Zero | None = None
+    model: CarriedWeight | None = None
+    tare: Sequence[Recording] | Weighing = ()
+    gravity: float = STANDARD_GRAVITY
+    form: Form | None = None
+    # zeros of runs without and with a pitch, and what is warned of with them
+    _settled: dict[bool, tuple[GaugeZero | None, list[str]]] = field(init=False, default_factory=dict)
+
+    @cached_property
+    def matrix(self) -> BalanceMatrix:
+        """The balance matrix."""
+        return matrix_of(self.balance)
+
+    @one_blas_thread()
+    def loads(self, recording: Recording) -> Loads:
+        """Balance loads [N, N*m] of gauge outputs; exceptions as `reduce_outputs`."""
+        recording, balance, tare, model = corrected(recording), self.matrix, self.tare, self.model
+        _check_at_rest(recording, self.zero, tare, balance)
+        if isinstance(tare, Weighing) and model is not None:
+            raise ValueError(
+                f"the weight comes from the mass in the dynamics; a weighing as {argument('tare')} would take it off "
+                "twice"
+            )
+        if balance.direct is None and not set(balance.components) <= set(COMPONENTS):
+            warn_quality(
+                "the balance matrix lacks the distances of the gauges: the loads stay "
+                f"{', '.join(balance.components)}. Calibrate with {argument('Schedule.geometry')} to have NF PM SF YM "
+                "RM AF"
+            )
+        if isinstance(tare, Weighing):
+            return _weight_off(recording, balance, tare, zero=self.zero, form=self.form)
+        counted = self._zero(pitched="pitch" in recording)
+        if tare:  # an error of the zero is in them as well
+            counted = zero_or_mean(counted, tare, balance)
+            counted = None if counted is None else replace(counted, from_natural={})
+            off = wind_off_loads(recording, tare, balance, zero=counted, form=self.form)
+            loads = loads_of_outputs(recording, balance, zero=counted, tare=off, form=self.form)
+            return loads if model is None else replace(loads.without_gravity, ready=True)
+        loads = loads_of_outputs(recording, balance, zero=counted, form=self.form)
+        attitude = "pitch" in recording or any(channel.coupling == "dc" for channel in recording)
+        if model is None:
+            return loads
+        return replace(loads if attitude else loads.without_weight_of_zero, ready=True)
+
+    def _zero(self, *, pitched: bool) -> GaugeZero | None:
+        """Zero of a run whose pitch was recorded or not; what there is to say of it is said of every part."""
+        if pitched not in self._settled:
+            with kept_warnings() as said:
+                carried = None
+                if self.model is not None and not self.tare and self.zero is not None:
+                    carried = weight_on_zero(self.zero.recordings, self.model, gravity=self.gravity, pitched=pitched)
+                self._settled[pitched] = settled_zero(self.zero, self.matrix, carried), said
+        zero, said = self._settled[pitched]
+        for text in said:
+            warn_quality(text)
+        return zero
 
 
 def _check_at_rest(

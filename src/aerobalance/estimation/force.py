@@ -18,7 +18,7 @@ import numpy as np
 from aerobalance.balance.calibration.fit import Calibration
 from aerobalance.balance.loads import Loads
 from aerobalance.balance.matrix import BalanceMatrix
-from aerobalance.balance.reduction import reduce_outputs
+from aerobalance.balance.reduction import reduction_of
 from aerobalance.balance.zeros import Zero
 from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.dynamics.coupled import CoupledDynamics
@@ -101,11 +101,7 @@ def estimate_force(
     if balance is None and zero is not None:
         raise ValueError("a zero is of gauge outputs: give the balance matrix that makes loads of them as well")
 
-    def made_ready(given: Recording | Loads) -> Recording | Loads:
-        if balance is None or isinstance(given, Loads):
-            return given
-        return reduce_outputs(given, balance, zero=zero, model=model, gravity=gravity)
-
+    made_ready = reduction_of(balance, zero=zero, model=model, gravity=gravity)
     calm = made_ready(noise) if isinstance(noise, Recording | Loads) else noise
     return ForceWork(run, model, made_ready=made_ready, noise=calm, settings=settings).force()
 

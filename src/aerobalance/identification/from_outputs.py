@@ -10,7 +10,7 @@ import numpy as np
 from aerobalance.balance.calibration.fit import Calibration, matrix_of
 from aerobalance.balance.loads import Loads
 from aerobalance.balance.matrix import BalanceMatrix
-from aerobalance.balance.reduction import reduce_outputs
+from aerobalance.balance.reduction import OutputReduction
 from aerobalance.balance.weighing.result import Weighing
 from aerobalance.balance.weight_on_zero import NotWeighed
 from aerobalance.balance.zeros import Zero
@@ -51,7 +51,8 @@ def identification_loads(
     matrix = matrix_of(balance)
     gravity = STANDARD_GRAVITY if weighing is None else weighing.gravity
     model = NotWeighed() if weighing is None else weighing
-    found = [reduce_outputs(one, matrix, zero=zero, model=model, tare=tare, gravity=gravity) for one in recordings]
+    reduction = OutputReduction(matrix, zero=zero, model=model, tare=tare, gravity=gravity)
+    found = [reduction.loads(one) for one in recordings]
     if calibration_counts and not matrix.covariance.any():
         warn_quality(
             "the balance matrix holds no covariance of its coefficients; what its calibration leaves in the dynamics "

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from aerobalance.balance.calibration.fit import Calibration
 from aerobalance.balance.loads import Loads
 from aerobalance.balance.matrix import BalanceMatrix
-from aerobalance.balance.reduction import reduce_outputs
+from aerobalance.balance.reduction import reduction_of
 from aerobalance.balance.zeros import Zero
 from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.dynamics.coupled import CoupledDynamics
@@ -113,11 +113,7 @@ def compare(
     check_recording(run)
     model = dynamics_of(dynamics)
 
-    def made_ready(given: Recording | Loads) -> Recording | Loads:
-        if balance is None or isinstance(given, Loads):
-            return given
-        return reduce_outputs(given, balance, zero=zero, model=model, gravity=gravity)
-
+    made_ready = reduction_of(balance, zero=zero, model=model, gravity=gravity)
     ready = made_ready(run)
     if isinstance(ready, Loads):
         ready.check_ready()

@@ -18,9 +18,8 @@ from aerobalance.app.campaign.definition import (
 )
 from aerobalance.app.campaign.run_table import PRESSURES
 from aerobalance.balance.calibration.fit import Calibration
-from aerobalance.balance.loads import Loads
 from aerobalance.balance.matrix import BalanceMatrix
-from aerobalance.balance.reduction import reduce_outputs
+from aerobalance.balance.reduction import reduction_of
 from aerobalance.balance.zero_levels import ZeroLevel, zero_levels
 from aerobalance.balance.zeros import Zero
 from aerobalance.dynamics.independent import AnyDynamics, dynamics_of
@@ -178,11 +177,7 @@ def reduce_run(
     flow = flow_of(columns, means, settings, u_attitude=u_attitude)
     flow = replace(flow, pressure=pressure, u_pressure=u_pressure)
 
-    def made_ready(given: Recording | Loads) -> Recording | Loads:
-        if balance is None or isinstance(given, Loads):
-            return given
-        return reduce_outputs(given, balance, zero=zero, model=model, tare=tare, gravity=gravity)
-
+    made_ready = reduction_of(balance, zero=zero, model=model, tare=tare, gravity=gravity)
     calm = None if noise is None else made_ready(noise)
     force = ForceWork(run, model, made_ready=made_ready, noise=calm, settings=settings.force).force()
     mean = mean_loads(force)

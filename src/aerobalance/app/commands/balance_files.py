@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Literal
 
@@ -12,7 +11,7 @@ from aerobalance.app.commands.shared import recording_of
 from aerobalance.balance.load_formats import Form
 from aerobalance.balance.loads import Loads
 from aerobalance.balance.matrix import BalanceMatrix
-from aerobalance.balance.reduction import reduce_outputs
+from aerobalance.balance.reduction import OutputReduction
 from aerobalance.balance.weighing import Weighing
 from aerobalance.balance.zeros import CarriedWeight, Zero
 from aerobalance.io.balance_file import read_matrix
@@ -148,7 +147,7 @@ class BalanceFiles:
             )
         tare = self.tares(channel_map)
         matrix, zero = self.matrix(), self.zeros(channel_map)
-        return partial(reduce_outputs, balance=matrix, zero=zero, model=model, tare=tare, gravity=gravity, form=form)
+        return OutputReduction(matrix, zero=zero, model=model, tare=tare, gravity=gravity, form=form).loads
 
     def loads(
         self,
