@@ -106,6 +106,35 @@ def test_the_force_is_that_of_the_own_clock(rng) -> None:
     assert np.median(noises) == pytest.approx(NOISE, rel=0.02)
 
 
+def test_the_look_tells_how_far_the_resonance_is_above_the_noise(rng) -> None:
+    """White forces of density W read S = |H(f0)|^2 W there; the noise, R = 2 / rate of its variance per hertz.
+
+    The segments of the look are 6.25 Hz apart: the resonance, 0.7 Hz wide, is averaged by their window. In a record
+    that is quiet for a while nothing is shown.
+    """
+    count = 1 << 18
+    force = 10.0 * rng.normal(size=count)
+    frequency = np.fft.rfftfreq(count, 1 / RATE)
+    kept = frequency < 100
+    response = T128.response(frequency) * kept
+    load = np.fft.irfft(np.fft.rfft(force) * response, count)
+    noise = NOISE * rng.normal(size=count)
+    f0 = T128.modes[0].natural_frequency
+    # what the window of 2048 samples shows of the resonance, closed form: its own power spectrum times the response's
+    fine = np.arange(-40, 40, 0.01) / (working_clock.SETTINGS.segment / RATE)
+    line = round(f0 * working_clock.SETTINGS.segment / RATE) / working_clock.SETTINGS.segment * RATE
+    x = fine * working_clock.SETTINGS.segment / RATE
+    hann = (np.sinc(x) + 0.5 * (np.sinc(x - 1) + np.sinc(x + 1))) ** 2
+    seen = float(np.sum(hann * np.abs(T128.response(np.abs(line + fine))) ** 2) / np.sum(hann))
+    expected = seen * 10.0**2 / NOISE**2
+    (shown,) = work(recording(load + noise)).working.shown
+    # the least of 16 blocks of 8 segments: means of few independent numbers, as the resonance rings over segments
+    assert 0.05 * expected < shown < expected
+    quiet = load * (np.abs(np.arange(count) - count / 2) > 1 << 16)
+    (shown,) = work(recording(quiet + noise)).working.shown
+    assert shown < 1.0
+
+
 def test_gauge_outputs_become_loads_on_the_slower_clock(rng) -> None:
     truth, load = force_and_load(rng, steps=())
     balance = replace(random_balance(seed_from(rng)), natural_zero=None)
@@ -223,14 +252,14 @@ def test_the_ends_are_no_worse(rng) -> None:
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
 def test_a_record_that_contradicts_its_dynamics_says_so(rng) -> None:
     """A mode of 3 % at 153 Hz that the dynamics lack, under a load to 200 Hz, may look like a color of the noise."""
-    whole = T128.with_modes(Mode(153.0, 0.01, 0.03))
-    frequency = np.fft.rfftfreq(SAMPLES, 1 / RATE)
-    for _ in range(trials(2, 8)):
-        lines = np.fft.rfft(rng.normal(size=SAMPLES)) * ((frequency > 0) & (frequency < 200))
-        force = np.fft.irfft(lines, SAMPLES)
+    whole, count = T128.with_modes(Mode(153.0, 0.01, 0.03)), 360_000  # in a tenth of that it is a color at times
+    frequency = np.fft.rfftfreq(count, 1 / RATE)
+    for _ in range(trials(1, 4)):
+        lines = np.fft.rfft(rng.normal(size=count)) * ((frequency > 0) & (frequency < 200))
+        force = np.fft.irfft(lines, count)
         size = 50.0 / force.std()
-        load = size * np.fft.irfft(lines * whole.response(frequency), SAMPLES) + NOISE * rng.normal(size=SAMPLES)
-        slow = work(recording(load))
+        load = size * np.fft.irfft(lines * whole.response(frequency), count) + NOISE * rng.normal(size=count)
+        slow = ForceWork(recording(load), dynamics_of(T128))
         assert slow.working.every > 1
         found = slow.force()
         assert "missing mode" in {doubt.kind for doubt in found.doubts}

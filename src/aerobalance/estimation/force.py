@@ -164,7 +164,7 @@ class ForceWork:
             As in `estimate_force`; no part of the record has readings.
         """
         record = self.working
-        parts = self.division.parts(record, self.dynamics, every=record.every)
+        parts = self.division.parts(record, self.dynamics, every=record.every, shown=record.shown)
         clock = RecordClock(record) if isinstance(record, DecimatedRecord) else None
         told = PartWarnings(record)
         joiner: Joiner | None = None

@@ -2,9 +2,11 @@ r"""Forces of a record that is too long to be worked on at once: part by part, j
 
 Each part is a record of its own: its prior, its steps and its hum are learned from it alone, so that a part can be
 worked out without the others and a fault in one stays there. Neighbours have samples in common, a margin on either
-side of the joint. A state at the beginning of a part is forgotten by the smoother as fast as its closed loop decays,
-which is no slower than the balance itself where its readings show anything; after so many decay times as the response
-to a step is taken to last, nothing of it is left (`Division`). In the middle of the overlap the one force passes into
+side of the joint. A free oscillation that is under way at the beginning of a part is unknown there, and known as fast
+as the closed loop of the smoother decays; after so many of its decay times as the response to a step is taken to last,
+nothing of it is left (`Division`). A mode that decays at a rate a, whose readings have the spectral density S at its
+natural frequency and R by their noise alone, is followed at the rate a sqrt(1 + S / R): the Kalman-Bucy filter of its
+complex amplitude, x' = -a x + w. In the middle of the overlap the one force passes into
 the other. Both are estimates from nearly the same readings, so their errors are nearly the same, and uncertainties are
 passed over like the forces; what the two differ by is an error of at least one of them and comes on top, as the
 standard deviation of a mixture, w (1 - w) times the square of the difference.
@@ -12,11 +14,13 @@ standard deviation of a mixture, w (1 - w) times the square of the difference.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from math import sqrt
 from typing import Any, Final
 
 import numpy as np
+from scipy.fft import next_fast_len
 
 from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.dynamics.modal import Mode
@@ -42,15 +46,16 @@ class Division:
     Attributes
     ----------
     readings
-        Readings of all components together that are worked on at once, at most: a part has the largest multiple of
-        `round_to` samples that keeps to it.
+        Readings of all components together that are worked on at once, at most: a part has no more than the largest
+        multiple of `round_to` samples that keeps to it, and all parts of a record are about as long.
     decimated
         Readings of a slower clock over these, at most, where the forces are worked out on one, and readings of the
         record that they are made of: both are in memory, one after the other.
     round_to
         Samples.
     decay_times
-        Decay times of the slowest mode that make the margin; the response to a step is taken to last as long.
+        Decay times of the smoother's slowest mode that make the margin; the response to a step is taken to last as
+        long.
     margin
         Least margin [samples], and the largest [share of a part].
     same_step
@@ -66,21 +71,40 @@ class Division:
     same_step: tuple[float, float] = (5.0, 2.0)
 
     def length(self, dynamics: BalanceDynamics, *, every: int = 1) -> int:
-        """Return the samples of a part, on a clock with one for so many of the record."""
+        """Return the most samples of a part, on a clock with one for so many of the record."""
         slower, most = self.decimated
         readings = self.readings if every == 1 else int(self.readings * min(slower, most / every))
         return max(readings // len(dynamics.components) // self.round_to, 1) * self.round_to
 
-    def parts(self, record: LongRecord[Any], dynamics: BalanceDynamics, *, every: int = 1) -> tuple[Part, ...]:
-        """Return the parts of a record, whose clock has one sample for so many of the record's own."""
+    def parts(
+        self, record: LongRecord[Any], dynamics: BalanceDynamics, *, every: int = 1, shown: Sequence[float] = ()
+    ) -> tuple[Part, ...]:
+        """Return the parts of a record.
+
+        Parameters
+        ----------
+        record
+            The record.
+        dynamics
+            Dynamics of the balance.
+        every
+            Samples of the record's own clock for each of its samples.
+        shown
+            Power of the loads at each natural frequency over that of the noise there, at least, all along the record;
+            nothing where that is not known.
+        """
         length = self.length(dynamics, every=every)
         if record.samples <= length:
             return parts_of(record.samples, length=length, margin=0)
-        slowest = min(_decay(mode) for mode in dynamics.modes)
+        ratios = shown or [0.0] * len(dynamics.modes)
+        slowest = min(_decay(mode) * sqrt(1 + ratio) for mode, ratio in zip(dynamics.modes, ratios, strict=True))
         least, most = self.margin
         wanted = self.decay_times / max(slowest, 1e-300) * record.rate
         margin = int(min(max(wanted, least / every), most * length))
-        return parts_of(record.samples, length=length, margin=margin)
+        # parts of the same length overlap by no more than their margins, and none is too short to learn from
+        count = 1 + -(-(record.samples - length) // (length - 2 * margin))
+        even = -(-(record.samples + 2 * margin * (count - 1)) // count)
+        return parts_of(record.samples, length=min(length, next_fast_len(even, real=True)), margin=margin)
 
 
 DIVISION: Final = Division()

@@ -17,7 +17,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.fft import rfft
@@ -125,6 +125,11 @@ class RecordAsItIs:
         """Number of samples of the record for each sample of this clock: 1."""
         return 1
 
+    @property
+    def shown(self) -> tuple[float, ...]:
+        """Nothing is known of the power at the natural frequencies before the record is read."""
+        return ()
+
     def part(self, begin: int, end: int) -> Given:
         """Samples `begin` to `end` (excluded), with balance loads [N, N*m]."""
         return self.made_ready(self.record.part(begin, end))
@@ -142,11 +147,14 @@ class DecimatedRecord:
         Converts samples that are gauge outputs to balance loads.
     decimation
         Factor between the clocks, and where the samples of the slower one are in the record.
+    shown
+        Power of the loads at each natural frequency over that of the noise there, at least, all along the record [1].
     """
 
     record: LongRecord[Given]
     made_ready: MadeReady
     decimation: Decimation
+    shown: tuple[float, ...] = ()
     # of the part read last: its first sample and clock in the record; a list, as the class is frozen
     _clocks: list[tuple[int, Recording]] = field(init=False, default_factory=list)
 
@@ -320,7 +328,8 @@ def slower_clock(
     fitting = [one for one in SETTINGS.factors if _band(record.rate, one) >= SETTINGS.periods * highest]
     if not fitting:
         return None
-    look = _Look(record.rate, above=_band(record.rate, fitting[0]))
+    modes = tuple(mode.natural_frequency for mode in dynamics.modes)
+    look = _Look(record.rate, above=_band(record.rate, fitting[0]), modes=modes)
     try:
         with kept_warnings():  # given when the forces are estimated
             begins, length = _pieces(record.samples)
@@ -333,7 +342,7 @@ def slower_clock(
         return None  # raised again, with its reason, when the forces are estimated
     for factor in fitting:
         if _band(record.rate, factor) >= SETTINGS.beyond * look.highest:
-            return DecimatedRecord(record, made_ready, Decimation(factor, record.samples))
+            return DecimatedRecord(record, made_ready, Decimation(factor, record.samples), look.shown)
     return None
 
 
@@ -367,6 +376,21 @@ def _pieces(samples: int) -> tuple[list[int], int]:
     return begins, length
 
 
+class _Levels(NamedTuple):
+    """Spectral density of the blocks of a piece, up to a constant factor.
+
+    Attributes
+    ----------
+    bands
+        Mean of each band, shape (blocks, bands).
+    resonant
+        Density at each natural frequency, shape (blocks, modes).
+    """
+
+    bands: Array
+    resonant: Array
+
+
 @dataclass(slots=True, eq=False)
 class _Look:
     """Spectra of the pieces of a record, and the highest frequency at which a load is above the noise in them.
@@ -377,20 +401,34 @@ class _Look:
         Sampling rate [Hz].
     above
         Frequency above which the level of the noise is judged [Hz].
+    modes
+        Natural frequencies [Hz].
     highest
         Highest frequency at which a load is above the noise in the pieces added so far [Hz].
     """
 
     rate: float
     above: float
+    modes: tuple[float, ...]
     _highest: float = 0.0
     _power: dict[str, Array] = field(default_factory=dict)
+    _least: dict[str, Array] = field(default_factory=dict)
+    _blocks: dict[str, int] = field(default_factory=dict)
 
     @property
     def highest(self) -> float:
         """Highest frequency at which a load is above the noise, in one block or in the mean of all [Hz]."""
         whole = [self._edge(power[None], SETTINGS.stands_out[1]) for power in self._power.values()]
         return max(self._highest, *whole)
+
+    @property
+    def shown(self) -> tuple[float, ...]:
+        """Power at each natural frequency over that of the noise, in the block and the load where it is least [1]."""
+        ratios = [
+            least * self._blocks[name] / self._noise(self._power[name][None])[0] - 1
+            for name, least in self._least.items()
+        ]
+        return tuple(np.maximum(np.max(ratios, axis=0), 0.0).tolist())
 
     def levels(
         self,
@@ -401,8 +439,8 @@ class _Look:
         *,
         length: int,
         noise: Mapping[str, float],
-    ) -> dict[str, Array]:
-        """Return the level of each band in each block of a piece by component, as `_levels`.
+    ) -> dict[str, _Levels]:
+        """Return the levels of a piece by component.
 
         Where samples are missing, wild, stuck or clipped, nothing is returned for any component.
         """
@@ -414,16 +452,19 @@ class _Look:
             return {}
         return {name: self._levels(recording.channel(name).values) for name in names}
 
-    def add(self, found: Sequence[Mapping[str, Array]]) -> bool:
+    def add(self, found: Sequence[Mapping[str, _Levels]]) -> bool:
         """Add the levels of some pieces; return whether all their samples can be taken as they are."""
         for piece in found:
             for name, levels in piece.items():
-                self._highest = max(self._highest, self._edge(levels, SETTINGS.stands_out[0]))
-                self._power[name] = self._power.get(name, np.zeros(levels.shape[1])) + levels.sum(axis=0)
+                bands, resonant = levels
+                self._highest = max(self._highest, self._edge(bands, SETTINGS.stands_out[0]))
+                self._power[name] = self._power.get(name, np.zeros(bands.shape[1])) + bands.sum(axis=0)
+                self._least[name] = np.minimum(self._least.get(name, np.inf), resonant.min(axis=0))
+                self._blocks[name] = self._blocks.get(name, 0) + len(bands)
         return all(found)
 
-    def _levels(self, values: Array) -> Array:
-        """Spectral density of each band in each block, shape (blocks, bands), up to a constant factor."""
+    def _levels(self, values: Array) -> _Levels:
+        """Levels of the readings of one load."""
         segment = min(SETTINGS.segment, values.size)
         count = max(values.size // segment, 1)
         segments = values[: count * segment].reshape(count, segment)
@@ -432,12 +473,20 @@ class _Look:
         power = spectrum.real**2 + spectrum.imag**2
         each = max(power.shape[1] // SETTINGS.bands, 1)
         bands = power[:, : power.shape[1] // each * each].reshape(count, -1, each).mean(axis=2)
+        lines = np.clip(np.round(np.array(self.modes) / self.rate * segment).astype(int) - 1, 0, power.shape[1] - 1)
         block = max(min(SETTINGS.block // segment, count), 1)
-        return np.asarray(bands[: count // block * block].reshape(-1, block, bands.shape[1]).mean(axis=1))
+        means = (
+            part[: count // block * block].reshape(-1, block, part.shape[1]).mean(axis=1)
+            for part in (bands, power[:, lines])
+        )
+        return _Levels(*means)
 
     def _edge(self, levels: Array, stands_out: float) -> float:
         """Upper edge of the highest band that is above the noise in any row of `levels` [Hz]; 0 if none is."""
+        out = np.flatnonzero((levels > stands_out * self._noise(levels)[:, None]).any(axis=0))
+        return float((out[-1] + 1) * 0.5 * self.rate / levels.shape[1]) if out.size else 0.0
+
+    def _noise(self, levels: Array) -> Array:
+        """Level of the noise in every row of `levels`, shape (rows,)."""
         width = 0.5 * self.rate / levels.shape[1]
-        noise = np.median(levels[:, int(np.ceil(self.above / width)) :], axis=1, keepdims=True)
-        out = np.flatnonzero((levels > stands_out * noise).any(axis=0))
-        return float((out[-1] + 1) * width) if out.size else 0.0
+        return np.asarray(np.median(levels[:, int(np.ceil(self.above / width)) :], axis=1))
