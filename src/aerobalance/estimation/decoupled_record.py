@@ -181,24 +181,22 @@ class DecoupledRecord(ComponentRecord):
             own = own - self._taken_off(other.reading(felt, interval=self.interval)[:, None], other)[:, 0]
         return own
 
-    def _felt(self, net: Array) -> Array:
-        """Reading of the component under loads on the moving mass, shapes (samples,) and (samples, n) [N]."""
-        if not net[:, [self.decoupled.place, *(other.place for other in self.others)]].any():
-            return np.zeros(len(net))
-        own = self.decoupled.response_to(net[:, [self.decoupled.place]], interval=self.interval)
-        for other in self.others:
-            theirs = other.response_to(net[:, [other.place]], interval=self.interval)
-            own = own - self._taken_off(theirs, other)
+    def felt_under(self, item: SystematicParameter) -> Array:
+        """Balance load under a unit of an unknown of the ground's motion, shape (samples,)."""
+        rows = self.coupled.mass_rows
+        channels = (self.decoupled, *self.others)
+        net = [-item.slope @ rows[one.place][:, None] for one in channels]  # on the component itself
+        if not any(part.any() for part in net):
+            return np.zeros(len(item.slope))
+        own, *theirs = (one.response_to(part, interval=self.interval) for one, part in zip(channels, net, strict=True))
+        for other, part in zip(self.others, theirs, strict=True):
+            own = own - self._taken_off(part, other)
         lag = self.channels[self.decoupled.place].delay - self.platform.delay
         return np.asarray(fractional_delay(own[:, 0], delay=lag, interval=self.interval))
 
-    def felt_under(self, item: SystematicParameter) -> Array:
-        """Balance load under a unit of an unknown of the ground's motion, shape (samples,)."""
-        return self._felt(-item.slope @ self.coupled.mass_rows.T)
-
     def as_force(self, item: SystematicParameter) -> Array:
         """Force that a unit of an unknown of the ground's motion is taken for by a direct inverse, (samples,)."""
-        return np.asarray((item.slope @ self.coupled.mass_rows.T)[:, self.decoupled.place])
+        return np.asarray(item.slope @ self.coupled.mass_rows[self.decoupled.place])
 
     @property
     def unknowns(self) -> tuple[SystematicParameter, ...]:

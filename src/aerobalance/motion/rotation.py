@@ -137,8 +137,9 @@ def _integrated(values: Array, rate: float) -> Array:
     whole = integral(values, rate=rate)
     place = np.linspace(-1, 1, values.size)
     weight = np.hanning(values.size + 2)[1:-1]
-    line = np.polynomial.polynomial.polyfit(place, whole, 1, w=np.sqrt(weight))
-    return np.asarray(whole - line[0] - line[1] * place)
+    # the window is symmetric and the place is not: mean and slope are apart
+    mean, slope = weight @ whole / weight.sum(), weight * place @ whole / (weight @ place**2)
+    return np.asarray(whole - mean - slope * place)
 
 
 def centripetal(fit: GroundFit, rate: Array) -> Array:

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+from scipy.fft import irfft, rfft
 from scipy.special import ndtr, ndtri
 
 from aerobalance.estimation.force_smoother import SmootherResult, instant_columns
@@ -19,7 +20,7 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import kept_warnings
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.resampling import fractional_delay, interpolate_gaps_linearly
+from aerobalance.recording.resampling import interpolate_gaps_linearly
 
 
 @dataclass(frozen=True, slots=True)
@@ -201,8 +202,8 @@ class Witnesses:
         if not np.isfinite(values).all() or float(np.ptp(values)) == 0:
             return None
         # noise of the channel is no motion: taken along, it would make every gain and delay too small
-        motion = above_noise(values - values.mean(), noise=channel_noise(channel))
-        late = fractional_delay(motion, delay=SETTINGS.probe * interval, interval=interval) - motion
+        motion, rate = above_noise(values - values.mean(), noise=channel_noise(channel))
+        late = -SETTINGS.probe * rate
         slopes = [
             self.change(name, change) / size
             for change, size in ((late, SETTINGS.probe * interval), (SETTINGS.probe * motion, SETTINGS.probe))
@@ -247,8 +248,8 @@ def ramp_of(count: int) -> Array:
     return np.asarray(np.arange(count) / max(count - 1, 1) - 0.5)
 
 
-def above_noise(values: Array, *, noise: float) -> Array:
-    """Return a channel at the frequencies where it stands out of its white noise, shape (n,), in its unit.
+def above_noise(values: Array, *, noise: float) -> tuple[Array, Array]:
+    """Return a channel at the frequencies where it stands out of its white noise, and its rate, in its unit.
 
     Parameters
     ----------
@@ -256,15 +257,26 @@ def above_noise(values: Array, *, noise: float) -> Array:
         Its readings less their mean, without gaps, shape (n,).
     noise
         Standard uncertainty of one of them.
+
+    Returns
+    -------
+    motion, rate
+        Shape (n,) each; the rate for each sampling interval.
     """
     count = values.size
     line = np.linspace(values[0], values[-1], count)
     # reflected at points, its rate goes on at the ends: what a bend there does, the load would have to show as well
     reflected = np.concatenate([values - line, (line - values)[::-1]])
-    lines = np.fft.rfft(reflected)
-    power = np.abs(lines) ** 2 / (2 * count)
+    lines = rfft(reflected)
+    power = np.square(np.abs(lines)) / (2 * count)
     edges = np.unique(np.round(np.geomspace(1, power.size, SETTINGS.bands)).astype(int))
     level = np.add.reduceat(power, edges[:-1]) / np.diff(edges)
     kept = np.zeros(power.size)
     kept[edges[0] : edges[-1]] = np.repeat(level > SETTINGS.stands_out * noise**2, np.diff(edges))
-    return np.asarray(line + np.fft.irfft(lines * kept, 2 * count)[:count])
+    if not kept.any():
+        return line, np.full(count, line[1] - line[0])
+    highest = int(np.flatnonzero(kept)[-1]) + 1
+    lines = lines[:highest] * kept[:highest]
+    by_rate = 2j * np.pi * np.arange(highest) / (2 * count)
+    motion, rate = (irfft(one, 2 * count)[:count] for one in (lines, by_rate * lines))
+    return np.asarray(line + motion), np.asarray(line[1] - line[0] + rate)
