@@ -11,9 +11,9 @@ import pytest
 
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.checks import model_check, other_dynamics, resonance
+from aerobalance.estimation.checks import other_dynamics, resonance
 from aerobalance.estimation.checks.local_modes import SETTINGS, Averaged, missing_mode, own_resonance, smeared
-from aerobalance.estimation.checks.model_error import error_under
+from aerobalance.estimation.checks.model_error import LEFT_OPEN, error_under
 from aerobalance.estimation.checks.near_resonance import near_resonance
 from aerobalance.estimation.checks.other_dynamics import OtherDynamics, _if_changed, other_dynamics_in, without_steps
 from aerobalance.estimation.force import estimate_force
@@ -389,7 +389,7 @@ def test_what_a_record_leaves_open_counts_by_its_probability(probability, monkey
     assert after.doubts == ()
     error = error_under(before.values, own=BARE, other=other, interval=1 / RATE)
     expected = np.sqrt(probability * np.mean(error**2))
-    assert after.only.budget[model_check.LEFT_OPEN] == pytest.approx(expected, rel=0.02)
+    assert after.only.budget[LEFT_OPEN] == pytest.approx(expected, rel=0.02)
     np.testing.assert_array_equal(after.only.values, before.values)
 
 
@@ -401,7 +401,7 @@ def test_the_right_resonance_is_left_alone_and_leaves_little_open(seed):
         forces.append(estimate_force(recording, BARE))
     # of 400 none was doubted, and of 3 much was left open: of 60 more than these come once in a thousand times
     assert sum(bool(force.doubts) for force in forces) <= 1
-    assert sum(force.only.budget.get(model_check.LEFT_OPEN, 0.0) > 5.0 for force in forces) <= 4
+    assert sum(force.only.budget.get(LEFT_OPEN, 0.0) > 5.0 for force in forces) <= 4
 
 
 def test_a_factor_that_is_hardly_told_is_no_change():

@@ -16,9 +16,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from scipy.special import expit
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.estimation.checks.model_error import as_noise
+from aerobalance.estimation.checks.model_error import LEFT_OPEN, as_noise
 from aerobalance.estimation.checks.ringing import RingingSpectra, Rows, powers_of
 from aerobalance.estimation.checks.steady_tones import without_tones
 from aerobalance.estimation.coupled_record import CoupledRecord
@@ -36,7 +37,16 @@ class ModeShapeSettings:
     ----------
     decisive, moved
         Gain in log-likelihood, beside the band that brings most, that other signs or another order must bring, and
-        that modes must which have moved: chance and narrow bands of the load brought 9 and 14.
+        that modes must which have moved: chance and narrow bands of the load brought 9 and 34, of these more than
+        `moved` in one of 60 records.
+    neighbors
+        Bands, one beside the other, in which a narrow band of the load shows: half an octave of them.
+    decisive_apart
+        Gain that modes which have moved must bring beside the neighbors that bring most. Of 300 records that agree,
+        220 of them of narrow bands, 298 had less than 1 and one had 2.8.
+    open_from, open_half, open_steepness
+        The same gain from which on the record leaves it open whether modes have moved, at which it is as likely as
+        not, and how fast that grows.
     shifts, dampings
         Changes of the logarithm of all natural frequencies that are tried, up and down, and factors of all damping
         ratios.
@@ -59,6 +69,11 @@ class ModeShapeSettings:
 
     decisive: float = 20.0
     moved: float = 25.0
+    neighbors: int = 4
+    decisive_apart: float = 8.0
+    open_from: float = 4.0
+    open_half: float = 5.5
+    open_steepness: float = 0.8
     shifts: tuple[float, ...] = (0.01, 0.02, 0.04, 0.08, 0.16, 0.25, 0.35, 0.5)
     dampings: tuple[float, ...] = (0.4, 2.5)
     tries: int = 40
@@ -146,6 +161,8 @@ class OtherShapes:
         Gain in log-likelihood.
     moved
         Modes that have moved; None where channels are exchanged.
+    probability
+        Probability of it [1]; below one the record leaves it open.
     """
 
     kind: str
@@ -153,6 +170,7 @@ class OtherShapes:
     rows: Rows
     gain: float
     moved: Moved | None = None
+    probability: float = 1.0
 
 
 def gain_of(evidence: Array, known: Array) -> float:
@@ -162,6 +180,16 @@ def gain_of(evidence: Array, known: Array) -> float:
     """
     gains = evidence - known
     return float(np.sum(gains) - max(np.max(gains), 0.0))
+
+
+def gain_apart(evidence: Array, known: Array) -> float:
+    """Gain in log-likelihood over what is known, less that of the neighboring bands that bring most.
+
+    A narrow band of the load shows in these alone, modes that have moved show at all that ring.
+    """
+    gains = evidence - known
+    neighbors = np.convolve(gains, np.ones(min(SETTINGS.neighbors, gains.size)), mode="valid")
+    return float(np.sum(gains) - max(np.max(neighbors), 0.0))
 
 
 def _contradicted(evidence: Array, known: Array) -> bool:
@@ -197,9 +225,9 @@ def other_shapes(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherSha
     best = int(np.argmax(gains))
     gain, (kind, places, rows) = gains[best], exchanged[best]
     moved = _moved(ringing, dynamics, known, least=max(gain, SETTINGS.moved))
-    if moved is not None:
-        return moved
-    return OtherShapes(kind, places, rows, gain) if gain > SETTINGS.decisive else None
+    if gain > SETTINGS.decisive and (moved is None or moved.gain < gain):
+        return OtherShapes(kind, places, rows, gain)
+    return moved
 
 
 def _moved(ringing: RingingSpectra, dynamics: CoupledDynamics, known: Array, *, least: float) -> OtherShapes | None:
@@ -213,13 +241,19 @@ def _moved(ringing: RingingSpectra, dynamics: CoupledDynamics, known: Array, *, 
     together = [(sign * size, 0.0) for size in SETTINGS.shifts for sign in (-1, 1)]
     together += [(0.0, float(np.log(factor))) for factor in SETTINGS.dampings]
     tried = [own.by(everything, np.array(step)) for step in together]
-    gains = [gain_of(_evidence(ringing, one), known) for one in tried]
-    if max(gains) < 0.5 * least:
+    evidence = [_evidence(ringing, one) for one in tried]
+    gains = [gain_of(one, known) for one in evidence]
+    if max(gains) < 0.5 * least and max(gain_apart(one, known) for one in evidence) < 0.5 * SETTINGS.open_from:
         return None
     found = _closer(ringing, own, everything, tried[int(np.argmax(gains))])
-    gain = gain_of(_evidence(ringing, found), known)
-    if gain < least or not found.ringing.any() or _contradicted(_evidence(ringing, found), known):
+    seen = _evidence(ringing, found)
+    gain, apart = gain_of(seen, known), gain_apart(seen, known)
+    narrow = gain < least or (apart < SETTINGS.open_from and gain < 2 * least)
+    if (narrow and apart < SETTINGS.open_from) or not found.ringing.any() or _contradicted(seen, known):
         return None
+    if narrow and apart < SETTINGS.decisive_apart:
+        probability = float(expit(SETTINGS.open_steepness * (apart - SETTINGS.open_half)))
+        return OtherShapes("natural frequency", (), found.rows, gain, found, probability)
     for place in range(len(found.changes)):
         closer = _closer(ringing, found, place, found)
         found = closer if closer.ringing[place] else found
@@ -280,7 +314,9 @@ def force_errors(record: CoupledRecord, loads: Array, rows: Rows, bandwidth: Arr
 def shape_doubts(
     record: CoupledRecord, filled: Array, parts: Mapping[str, ComponentForce]
 ) -> dict[str, ComponentForce]:
-    """Return the forces that a record speaks against, with doubts and the errors counted; nothing where it does not.
+    """Return the forces that a record speaks against, with the errors counted; nothing where it does not.
+
+    They have doubts, but where the record leaves open whether other dynamics are right.
 
     Parameters
     ----------
@@ -303,7 +339,8 @@ def shape_doubts(
     if other is None:
         return {}
     bandwidth = np.array([parts[name].bandwidth for name in names])
-    errors = force_errors(record, loads, other.rows, bandwidth)
+    errors = np.sqrt(other.probability) * force_errors(record, loads, other.rows, bandwidth)
+    name_of_error = f"{DOUBTED}{other.kind}" if other.probability == 1 else LEFT_OPEN
     size = np.sqrt(np.mean(errors**2, axis=0))
     relative = size / np.array([max(float(np.sqrt(np.mean(parts[name].values ** 2))), 1e-300) for name in names])
     told = other.places or (int(np.argmax(relative)),)
@@ -311,9 +348,9 @@ def shape_doubts(
     for place, name in enumerate(names):
         part = parts[name]
         period = 1 / record.decoupled[place].dynamics.natural_frequency
-        error = as_noise(errors[:, place], name=f"{DOUBTED}{other.kind}", period=period, interval=interval)
+        error = as_noise(errors[:, place], name=name_of_error, period=period, interval=interval)
         part = with_errors(part, error)
-        if place in told:
+        if place in told and other.probability == 1:
             doubt = Doubt(other.kind, name, *_words(other, dynamics), float(size[place]), si_unit(name))
             part = replace(part, doubts=(*part.doubts, doubt))
         found[name] = part

@@ -15,7 +15,7 @@ import numpy as np
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.mode_shapes import shape_doubts
-from aerobalance.estimation.checks.model_error import as_noise, error_under
+from aerobalance.estimation.checks.model_error import LEFT_OPEN, as_noise, error_under
 from aerobalance.estimation.checks.not_linear import NotLinear, not_linear
 from aerobalance.estimation.checks.other_dynamics import (
     ModelDoubt,
@@ -47,9 +47,6 @@ MATTERS_WITH_STEPS: Final = 1.0
 MOVED: Final = 0.1
 """Relative change of the natural frequency from which on it is another balance, and no spring that is not linear."""
 
-LEFT_OPEN: Final = "dynamics that the record leaves open"
-"""Name of what other dynamics may do to a force that the record neither shows nor rules out."""
-
 
 def checked(force: Force) -> Force:
     """Return forces with what the record says against the dynamics, and their uncertainty raised by what that does.
@@ -74,9 +71,10 @@ def checked(force: Force) -> Force:
         filled = force.filled
         # with a dead channel nothing rings as the dynamics do, and that is said of it
         otherwise = shape_doubts(record, filled, parts) if np.ptp(filled, axis=0).all() else {}
-        parts |= {name: _named_only(part) for name, part in otherwise.items()}
+        sure = any(part.doubts != parts[name].doubts for name, part in otherwise.items())
+        parts |= {name: _named_only(part) if sure else part for name, part in otherwise.items()}
         # what rings otherwise leaves peaks everywhere
-        decoupled = {} if otherwise else record.component_records(filled)
+        decoupled = {} if sure else record.component_records(filled)
         peaks = list(chain(*side_by_side(lambda name: peaks_of(decoupled[name], **known(name)), decoupled)))
         turning = turning_by_angles(force.recording, record.dynamics, force)
         for doubt in [*peak_doubts(peaks, record.dynamics.modes), *turning]:

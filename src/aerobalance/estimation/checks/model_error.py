@@ -10,6 +10,9 @@ from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.error_sources import Noise
 from aerobalance.recording.channel import Array
 
+LEFT_OPEN: Final = "dynamics that the record leaves open"
+"""Name of what other dynamics may do to a force that the record neither shows nor rules out."""
+
 BINS: Final = 512
 """Frequencies at which the spectrum of an error is kept."""
 
