@@ -27,7 +27,8 @@ Error and u are medians of the rms over a record, in N (of six components in per
 of samples within 95 % intervals. A row is marked where an error of more than 3 u is called fit for use. What a record
 cannot show is marked "assumed": filters and gains of its only channel; and dynamics where the log-likelihood of the
 readings is less than 10 higher with the balance's own, the spectrum of the force learned anew with either (of sound
-records one in a thousand gains as much by some other dynamics); and likewise noise with a color, by its own density.
+records one in a thousand gains as much by some other dynamics); and likewise noise with a color, by its own density,
+and channels of the ground's motion, by what they should have read.
 This page is written by `make faults`.
 """
 

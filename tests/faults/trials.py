@@ -21,8 +21,10 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.evidence import Evidence
+from aerobalance.estimation.checks.ground_witnesses import Witness
+from aerobalance.estimation.component_force import Fitted
 from aerobalance.estimation.force import estimate_force
-from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.prior import Observation, log_likelihood
 from aerobalance.estimation.steps import Step, columns_of
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import COMPONENTS, si_unit
@@ -88,14 +90,19 @@ def in_percent(force: Force, truth: Array) -> tuple[Array, Array, Array]:
     return 100 * found / HALF_RANGE, 100 * u / HALF_RANGE, 100 * truth / HALF_RANGE
 
 
-def can_show(case: Case, record: Record, seed: int, steps: Sequence[Step] = ()) -> bool:
-    """Return whether a record can show the fault: its readings are clearly likelier with the balance and noise it has.
+def can_show(case: Case, record: Record, seed: int, found: Force | None) -> bool:
+    """Return whether a record can show the fault: its readings are clearly likelier with what is right.
 
-    The spectrum of the force is learned from the readings with either. Of noise with a color that holds beside the
-    steps that were found: their own spectrum would hide it.
+    That is the balance, the noise and the ground's motion that it has; the spectrum of the force is learned from the
+    readings with either. Of noise with a color that holds beside the steps that were found: their own spectrum would
+    hide it.
     """
+    if case.right is not None and found is not None:
+        right = worked_out(case.record(seed, right=True), case.known(seed), case.settings)[0]
+        return right is not None and log_likelihood_of(right) - log_likelihood_of(found) > SHOWN
     if case.own is None and case.color is None:
         return case.shown
+    steps: Sequence[Step] = () if found is None or len(found) > 1 else found.only.steps
     known = case.known(seed)
     (component,) = known.components
     load, interval = record.columns[component], 1 / record.rate
@@ -108,6 +115,14 @@ def can_show(case: Case, record: Record, seed: int, steps: Sequence[Step] = ()) 
     plain, colored = (Evidence(left, interval, LEAST_NOISE**2 * interval) for _ in range(2))
     colored.white, colored.color = case.scene.noise**2 * interval, Color(case.color)
     return colored.of(known) - plain.of(known) > SHOWN
+
+
+def log_likelihood_of(found: Force) -> float:
+    """Return the log-likelihood of the readings of the one component of a force, by what was learned from them."""
+    (component,) = found
+    record = found.record.component_record(component)
+    fit = Fitted.of(record, hum="mains").smoothed
+    return log_likelihood(fit.reading, fit.filter, columns=Witness(record, fit).known)
 
 
 @dataclass(frozen=True)
@@ -133,7 +148,7 @@ def trial(given: tuple[Case, int]) -> dict[str, Any]:
         "name": case.name,
         "group": case.group,
         "seed": seed,
-        "shown": can_show(case, record, seed, () if force is None or len(force) > 1 else force.only.steps),
+        "shown": can_show(case, record, seed, force),
         "expected": list(case.kinds),
         "said": said,
         "seconds": spent,
