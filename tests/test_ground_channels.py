@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from aerobalance.estimation.applied_force import Force
-from aerobalance.estimation.checks.ground_channels import ground_faults
+from aerobalance.estimation.checks.ground_alignment import alone
+from aerobalance.estimation.checks.ground_channels import GroundFault, ground_faults, measured
+from aerobalance.estimation.checks.ground_doubts import LEFT_OPEN
 from aerobalance.estimation.checks.ground_witnesses import SETTINGS, Witness, Witnesses
 from aerobalance.estimation.checks.white_readings import White
 from aerobalance.estimation.component_force import Fitted
@@ -16,6 +18,8 @@ from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.recording.doubts import Doubt, Verdict
 from aerobalance.recording.resampling import interpolate_gaps
 from aerobalance.simulation import Sensor
+from faults.cases import Case, all_cases
+from faults.trials import of_one, scores, worked_out
 from helpers.shaken_six import shaken
 from seeds import trials
 
@@ -160,3 +164,53 @@ def test_sizes_scatter_as_they_are_said_to(seed):
     # chi-squares of one record are independent of each other but for what the channels have in common
     assert np.mean(found) < 3 + 5 * np.sqrt(6 / len(found))
     assert np.mean(found) > 1
+
+
+def case_of(name: str) -> Case:
+    (case,) = (one for one in all_cases() if one.name == name)
+    return case
+
+
+def test_the_delay_of_a_slow_channel_scatters_as_it_is_said_to(seed):
+    """An edge of its spectrum near the natural frequency once passed for knowledge: it was off by 3.6 u, rms."""
+    case, off = case_of("pitch 20 ms late, 0-20 Hz"), []
+    count = trials(6, 40)
+    for one in range(count):
+        force, _ = worked_out(case.record(seed + one), case.known(one), {})
+        assert force is not None
+        record = force.record.component_record("AF")
+        told_of = measured(alone(record, Fitted.of(record, hum="keep").smoothed), "pitch")
+        assert told_of is not None
+        off.append((-float(told_of[1].sizes[0]) - 0.02) / float(told_of[1].u[0]))
+    # chi-square of so many
+    assert np.mean(np.square(off)) < 1 + 5 * np.sqrt(2 / count), off
+
+
+@pytest.mark.parametrize("one", [9, 11])
+def test_a_late_inclinometer_is_named_beside_a_step(one):
+    """What is left of the motion is taken for force, beside which it explains little: not so once it is taken out."""
+    case = case_of("pitch 20 ms late, step")
+    force, _ = worked_out(case.record(one), case.known(one), {})
+    assert force is not None
+    assert [doubt.kind for doubt in force.doubts] == ["attitude delay"]
+
+
+def test_a_delay_that_is_left_open_counts_by_its_probability():
+    """Three to 3.5 standard uncertainties are no doubt, and the error of the force may well be theirs."""
+    case = case_of("pitch 20 ms late, 0-20 Hz")
+    record = case.record(4)
+    force, _ = worked_out(record, case.known(4), {})
+    assert force is not None
+    assert not about_ground(force)
+    assert LEFT_OPEN in force.only.budget
+    found = scores(*of_one(force), record.force)
+    assert found["error"] < 3 * found["u"]
+
+
+def test_what_is_left_open_is_as_likely_as_not_where_it_is_sure():
+    fault = GroundFault("pitch", ("AF",), 0.0, 1.0, 0.0, 1.0, 0.0, 1.0, np.zeros((1, 3)), 3.5)
+    assert fault.probability(3.51, 1.0) == 1.0
+    assert fault.probability(-3.5, 1.0) == 0.5
+    # three standard uncertainties have a log-likelihood that is 1.625 less: the logit falls by 0.8 of that
+    assert fault.probability(3.01, 1.0) == pytest.approx(1 / (1 + np.exp(0.8 * 0.5 * (3.5**2 - 3.01**2))))
+    assert fault.probability(2.99, 1.0) == 0.0

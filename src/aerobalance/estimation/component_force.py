@@ -266,7 +266,7 @@ class Fitted:
             *record.reading_errors(fit.force, through),
         ]
         for doubt, error in ground_doubts(record.dynamics.component, ground, through, errors=tuple(errors)):
-            doubts.append(doubt)
+            doubts += [] if doubt is None else [doubt]
             errors.append(error)
         if missed_there.any():
             period = 1 / record.dynamics.natural_frequency

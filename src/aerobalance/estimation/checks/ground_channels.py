@@ -19,6 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy.fft import irfft
+from scipy.special import expit
 
 from aerobalance.estimation.checks.ground_witnesses import SETTINGS, ChannelShapes, Witnesses
 from aerobalance.estimation.checks.white_readings import Lines, Solved, White, length_of
@@ -59,6 +60,19 @@ class GroundFault:
     u_drift: float
     left: Array
     sure: float
+
+    def probability(self, size: float, u: float) -> float:
+        """How probable it is that a delay, gain or drift of this size is none by chance, as far as that is known [1].
+
+        Parameters
+        ----------
+        size, u
+            The number and its standard uncertainty.
+        """
+        gain = 0.5 * ((size / u) ** 2 - self.sure**2) if u > 0 else 0.0
+        if gain > 0:
+            return 1.0
+        return float(expit(SETTINGS.steepness * gain)) if gain > -SETTINGS.open else 0.0
 
 
 def ground_faults(asked: Witnesses) -> dict[str, list[GroundFault]]:
@@ -108,10 +122,12 @@ def _together(asked: Witnesses, suspects: list[ChannelShapes]) -> dict[str, list
     while len(chosen) < len(suspects):
         rest = [place for place in range(len(suspects)) if place not in chosen]
         found, place = max(((solved([*chosen, one]), one) for one in rest), key=lambda pair: pair[0].explained)
-        gained = found.explained - best.explained
-        if gained < SETTINGS.worth_a_look or not found.of_channel(len(chosen)).clear(asked.sure):
+        own = found.of_channel(len(chosen))
+        if not own.clear(asked.least):
             break
         best, chosen = found, [*chosen, place]
+        if not own.clear(asked.sure):
+            break  # what the record leaves open explains nothing beside it
     return {
         one.record.dynamics.component: [
             _fault(asked, suspects[place], best.of_channel(number), suspects[place].felt[row])

@@ -16,14 +16,19 @@ from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import DOUBTED, Doubt
 from aerobalance.recording.errors import argument
 
+LEFT_OPEN: Final = "ground channel that the record leaves open"
+"""Name of what a delay or a gain may do to a force that the record neither shows nor rules out."""
+
 ANGLES: Final = ("pitch", "roll")
 """Channels of the attitude."""
 
 
 def ground_doubts(
     component: str, faults: Sequence[GroundFault], through: Through, *, errors: Sequence[Contribution]
-) -> Iterator[tuple[Doubt, Systematic]]:
+) -> Iterator[tuple[Doubt | None, Systematic]]:
     """Yield doubts of the channels of the ground's motion, each with the error that the force has from it.
+
+    What the record leaves open of a channel is no doubt: its error counts by its probability.
 
     Parameters
     ----------
@@ -38,7 +43,20 @@ def ground_doubts(
     """
     uncertainty = float(np.sqrt(np.sum([np.mean(error.deviation**2) for error in errors])))
     for fault in faults:
-        yield from _doubts(component, fault, through(fault.left), uncertainty=uncertainty)
+        errors_of_it = through(fault.left)
+        yield from _doubts(component, fault, errors_of_it, uncertainty=uncertainty)
+        for error in _left_open(fault, errors_of_it):
+            yield None, error
+
+
+def _left_open(fault: GroundFault, errors: Array) -> Iterator[Systematic]:
+    """What a delay or a gain that is left open may do to the force, by its probability."""
+    for place, (size, u) in enumerate(((fault.delay, fault.u_delay), (fault.gain, fault.u_gain))):
+        likely = fault.probability(size, u)
+        if 0 < likely < 1:
+            may_be = float(np.sqrt(likely * (1 + (u / size) ** 2)))
+            slope = may_be * errors[:, place]
+            yield Systematic(LEFT_OPEN, fault.channel, (LEFT_OPEN,), slope[:, None], np.eye(1), local=True)
 
 
 def _doubts(

@@ -32,6 +32,11 @@ class GroundChannelSettings:
     sure
         Standard uncertainties that a delay or a gain has to be off, of one channel: once in 2000 by chance, as often
         as one of several then.
+    open
+        Gain in log-likelihood of a delay or a gain below that of `sure` from which on the record leaves it open. Once
+        in 370 by chance of one channel: three standard uncertainties in place of 3.5.
+    steepness
+        Change of the logit of its probability with that gain: as likely as not where it is sure.
     beside
         Error of the force from a gain over that from a delay, and the other way, from which both are told: the one is
         else what the other does to second order.
@@ -41,10 +46,12 @@ class GroundChannelSettings:
         Error of the force from it over the uncertainty of the force (both rms) from which it is told.
     worth_a_look
         Chi-square of delay, gain and drift (three degrees of freedom) from which the force's spectrum is learned again
-        without them: once in a hundred by chance.
-    bands, stands_out
-        Bands of a channel's spectrum, and its level over that of its noise from which a band is motion: where the
-        force has no power, a shape is compared with the noise of the load alone, and its own noise counts against it.
+        without them: once in ten by chance. With what is left of the motion in the force it is far less than without.
+    bands, stands_out, clearly
+        Bands of a channel's spectrum, its level over that of its noise from which a band has motion, and from which it
+        is motion alone: where the force has no power, a shape is compared with the noise of the load alone, and its
+        own noise counts against it. Cut off at one frequency, motion would swing there beside the ends of the record,
+        as no load does: that passes for knowledge of the delay.
     probe
         Delay by which slopes are taken [samples], and change of the gain [1].
     most
@@ -71,12 +78,15 @@ class GroundChannelSettings:
     """
 
     sure: float = 3.5
+    open: float = 1.625
+    steepness: float = 0.8
     beside: float = 0.5
     clock: float = 0.2
     matters: float = 0.3
-    worth_a_look: float = 11.3
+    worth_a_look: float = 6.25
     bands: int = 100
     stands_out: float = 30.0
+    clearly: float = 300.0
     probe: float = 0.02
     most: float = 64.0
     settled: float = 0.1
@@ -226,6 +236,11 @@ class Witnesses:
         """Standard uncertainties that a delay or a gain of one of the channels has to be off."""
         return -float(ndtri(ndtr(-SETTINGS.sure) / len(self.changes.channels)))
 
+    @property
+    def least(self) -> float:
+        """Standard uncertainties from which on the record leaves open whether it is off."""
+        return float(np.sqrt(max(self.sure**2 - 2 * SETTINGS.open, 0.0)))
+
     def promising(self, pace: float) -> float:
         """Gain in log-likelihood of a delay from which on a channel is looked at closely; of motion at this pace.
 
@@ -271,12 +286,13 @@ def above_noise(values: Array, *, noise: float) -> tuple[Array, Array]:
     power = np.square(np.abs(lines)) / (2 * count)
     edges = np.unique(np.round(np.geomspace(1, power.size, SETTINGS.bands)).astype(int))
     level = np.add.reduceat(power, edges[:-1]) / np.diff(edges)
-    kept = np.zeros(power.size)
-    kept[edges[0] : edges[-1]] = np.repeat(level > SETTINGS.stands_out * noise**2, np.diff(edges))
-    if not kept.any():
+    above = np.log(np.maximum(level, 1e-300) / max(SETTINGS.stands_out * noise**2, 1e-300))
+    share = np.clip(above / np.log(SETTINGS.clearly / SETTINGS.stands_out), 0.0, 1.0)
+    if not share.any():
         return line, np.full(count, line[1] - line[0])
-    highest = int(np.flatnonzero(kept)[-1]) + 1
-    lines = lines[:highest] * kept[:highest]
-    by_rate = 2j * np.pi * np.arange(highest) / (2 * count)
+    middle = np.log(np.sqrt(edges[:-1] * np.maximum(edges[1:] - 1, edges[:-1])))
+    kept = np.concatenate([[0.0], np.interp(np.log(np.arange(1, power.size)), middle, share)])
+    lines = lines * kept
+    by_rate = 1j * np.pi * np.arange(power.size) / count
     motion, rate = (irfft(one, 2 * count)[:count] for one in (lines, by_rate * lines))
     return np.asarray(line + motion), np.asarray(line[1] - line[0] + rate)
