@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.checks.not_linear import not_linear
+from aerobalance.estimation.checks.not_linear import friction_of, not_linear
+from aerobalance.estimation.checks.step_ringing import friction_by_steps
 from aerobalance.estimation.prior import Observation
 from faults.cases import all_cases
 from faults.trials import of_one, scores, worked_out
@@ -76,6 +77,41 @@ def test_friction_has_its_size():
     found = not_linear(Observation(load, 1 / RATE, case.known(0)), case.known(0))
     assert found is not None
     assert abs(found.size - 5.0) < 4 * found.u
+
+
+@pytest.mark.parametrize(("size", "seed"), [(5.0, 4), (0.5, 1)])
+def test_friction_is_told_by_how_the_ringing_after_a_step_dies_away(size, seed):
+    (case,) = (one for one in all_cases() if one.name == f"friction {size:g} N, step")
+    record, dynamics = case.record(seed), case.known(seed)
+    force, _ = worked_out(record, dynamics, case.settings)
+    assert {one.kind for one in force.doubts} == {"not linear"}
+    told = friction_by_steps(
+        Observation(record.columns["AF"], 1 / RATE, dynamics), force.only.steps, force.only.learned
+    )
+    assert told is not None
+    # the sign of the speed is read as if the load did not move beside the ringing: its last tenth is not the law's
+    assert told[0] == pytest.approx(size, abs=4 * told[1] + 0.1 * size)
+    found = scores(*of_one(force), record.force)
+    # it acts on the slow motion as well, so that the error is no less than a half of it, and u counts all of it
+    assert found["cover"] > 0.95
+    assert found["error"] < 1.2 * found["u"]
+
+
+@pytest.mark.parametrize("name", ["damping 20 %, step, 2.5 s", "mode at 1.05 f0, 3 %, step, 2.5 s", "two steps"])
+def test_ringing_that_dies_away_otherwise_shows_no_friction(name):
+    (case,) = (one for one in all_cases() if one.name == name)
+    force, _ = worked_out(case.record(0), case.known(0), case.settings)
+    reading = Observation(case.record(0).columns["AF"], 1 / RATE, case.known(0))
+    told = friction_by_steps(reading, force.only.steps, force.only.learned)
+    assert told is None or told[0] < 4 * told[1]
+
+
+def test_friction_that_is_nearly_chance_is_left_open():
+    # a log-likelihood that is 8 higher is no chance, which four standard uncertainties are; from 4 on it is left open
+    assert friction_of(4.01, 1.0, T128).probability == 1
+    assert friction_of(3.0, 1.0, T128).probability == pytest.approx(1 / (1 + np.exp(0.8 * (8 - 2.5 - 4.5))))
+    assert friction_of(2.8, 1.0, T128) is None
+    assert friction_of(-9.0, 1.0, T128) is None
 
 
 def test_a_linear_balance_shows_none(rng):

@@ -16,7 +16,7 @@ from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.mode_shapes import shape_doubts
 from aerobalance.estimation.checks.model_error import LEFT_OPEN, as_noise, error_under
-from aerobalance.estimation.checks.not_linear import NotLinear, not_linear
+from aerobalance.estimation.checks.not_linear import NotLinear, friction_of, not_linear
 from aerobalance.estimation.checks.other_dynamics import (
     ModelDoubt,
     other_dynamics_in,
@@ -26,6 +26,7 @@ from aerobalance.estimation.checks.other_dynamics import (
 )
 from aerobalance.estimation.checks.peaks import peak_doubts
 from aerobalance.estimation.checks.resonance import Spoken
+from aerobalance.estimation.checks.step_ringing import friction_by_steps
 from aerobalance.estimation.checks.unmeasured_rotation import turning_by_angles
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.independent_record import SingleRecord
@@ -96,12 +97,15 @@ def checked(force: Force) -> Force:
             moved = shown.frequency is not None and abs(shown.frequency[0]) > MOVED
             if bent is not None and bent.of_spring and bent.probability == 1 and not moved:
                 found = _of_a_spring(found, bent, error, force=force[name].values, own=own, interval=interval)
+            elif bent is not None and not bent.of_spring and bent.probability == 1:
+                found = [one for one in found if one.doubt.kind != "damping ratio"]  # it damps what rings as well
             parts[name] = _raised(parts[name], found, own, interval=interval)
             if shown.possible is not None:
                 parts[name] = _left_open(parts[name], shown.possible, own, interval=interval)
             # damping that is not linear may look like noise of a color; a shock goes with the motion as all of it does
             colored = "colored noise" in kinds and bent is not None and not bent.of_spring and bent.probability < 1
-            if bent is not None and not found and not colored and "unexplained" not in kinds:
+            rubs = bent is not None and not bent.of_spring and bent.probability == 1 and bool(force[name].steps)
+            if bent is not None and not found and not colored and (rubs or "unexplained" not in kinds):
                 parts[name] = _bent(parts[name], one, bent, error)
     return replace(force, parts={name: _without_vague(part) for name, part in parts.items()})
 
@@ -139,11 +143,18 @@ def _not_linear(record: SingleRecord, force: ComponentForce) -> tuple[NotLinear,
     if seen is None:
         return None
     reading, within = seen
-    bent = not_linear(reading, record.dynamics, left=without_steps(reading, within) if within else None)
+    rubs = friction_by_steps(reading, within, force.learned)
+    friction = None if rubs is None else friction_of(*rubs, record.dynamics)
+    if friction is not None and friction.probability == 1:
+        bent: NotLinear | None = friction
+    else:
+        bent = (
+            not_linear(reading, record.dynamics, left=without_steps(reading, within) if within else None) or friction
+        )
     if bent is None:
         return None
     error = bent.force(force.values, record.dynamics, interval=record.interval)
-    least = MATTERS_WITH_STEPS if within else MATTERS
+    least = MATTERS_WITH_STEPS if within and bent.of_spring else MATTERS
     return (bent, error) if _rms(error) > least * _rms(force.uncertainty) else None
 
 

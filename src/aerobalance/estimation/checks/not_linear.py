@@ -179,6 +179,28 @@ def not_linear(reading: Observation, dynamics: Dynamics, *, left: Array | None =
     return None if best is None else best[1]
 
 
+def friction_of(size: float, u: float, dynamics: Dynamics) -> NotLinear | None:
+    """Return a friction found by other means, or None where it is chance.
+
+    Parameters
+    ----------
+    size, u
+        Friction and its standard uncertainty [N].
+    dynamics
+        The balance.
+    """
+    gain = 0.5 * (size / u) ** 2
+    if size <= 0 or gain <= GAIN - OPEN:
+        return None
+    edge = BELOW_HARMONICS * dynamics.natural_frequency
+    return NotLinear("friction", size, u, edge, edge, _probability(gain, GAIN))
+
+
+def _probability(gain: float, needed: float) -> float:
+    """How probable it is by a gain in log-likelihood [1]; 1 from what is needed on."""
+    return 1.0 if gain > needed else float(expit(STEEPNESS * (gain - needed + AS_LIKELY)))
+
+
 def _terms(
     dynamics: Dynamics, frequency: Array, last: int, *, of_spring_alone: bool
 ) -> Iterator[tuple[Mapping[str, Term], int]]:
@@ -231,7 +253,7 @@ def _best_of(
             continue
         if gain > needed - OPEN and (best is None or gain > best[0]):
             size = -match[0] / information
-            likely = 1.0 if gain > needed else float(expit(STEEPNESS * (gain - needed + AS_LIKELY)))
+            likely = _probability(gain, needed)
             best = (
                 gain,
                 NotLinear(

@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.force_smoother import instant_columns
-from aerobalance.estimation.prior import Observation, SpectralPrior, least_squares, whitened
+from aerobalance.estimation.prior import (
+    Observation,
+    SpectralPrior,
+    fit_prior,
+    generalised_least_squares,
+    least_squares,
+    whitened,
+)
 from aerobalance.estimation.statespace.kalman import KalmanFilter
+from aerobalance.estimation.step_window import free_motions
 from aerobalance.estimation.steps import Step, response_to
 from aerobalance.recording.channel import Array
 
@@ -27,11 +37,25 @@ class StepRingingSettings:
     usual
         Standard deviation that the logarithm of the damping ratio has before: where steps say nothing of the damping,
         a resonance without any would tell its frequency far too well.
+    band
+        Frequencies over the natural one between which the readings are ringing.
+    stands_out, fewest_periods
+        Size of the ringing over the noise of a reading down to which noise does not turn the sign of its speed, and
+        how long it must last, in periods.
+    worth_a_look
+        Standard uncertainties of a friction from which the force's spectrum is learned again without it.
+    most_steps
+        Steps up to which friction is looked for: of many, one rings on into the next.
     """
 
     iterations: int = 20
     settled: float = 0.1
     usual: float = 1.0
+    band: tuple[float, float] = (0.6, 1.6)
+    stands_out: float = 3.0
+    fewest_periods: float = 5.0
+    worth_a_look: float = 2.5
+    most_steps: int = 6
 
 
 SETTINGS: Final = StepRingingSettings()
@@ -109,3 +133,76 @@ def change_by_steps(reading: Observation, steps: Sequence[Step], learned: Spectr
     white = whitened(filter_, reading.filled, shapes_at(there))
     left = least_squares(white[:, 0], white[:, 1:])[2]
     return ChangeBySteps(point, covariance, float(as_known - left - point @ usual @ point))
+
+
+def friction_by_steps(
+    reading: Observation, steps: Sequence[Step], learned: SpectralPrior
+) -> tuple[float, float] | None:
+    """Return the friction that the ringing after steps shows and its standard uncertainty [N]; None where it cannot.
+
+    Free oscillations die away exponentially by damping, and by friction in a straight line. The deflection x and the
+    speed v of the ringing are read themselves, so that all three forces, against x, v and the sign of v, are known but
+    for their sizes, which generalised least squares finds: those against x and v are another frequency and damping.
+
+    Parameters
+    ----------
+    reading
+        The record, without gaps.
+    steps
+        Its steps.
+    learned
+        Prior of the rest.
+    """
+    if not 0 < len(steps) <= SETTINGS.most_steps:
+        return None
+    x, v = _within(reading, reading.values[:, None])[:, 0], _within(reading, reading.values[:, None], rate=True)[:, 0]
+    clear = _rings(x, reading, steps, least=SETTINGS.stands_out * learned.noise)
+    if np.count_nonzero(clear) * reading.interval * reading.dynamics.natural_frequency < SETTINGS.fewest_periods:
+        return None
+    forces = np.where(clear[:, None], np.column_stack([x, v, np.sign(v)]), 0.0)
+    felt = np.column_stack([reading.dynamics.balance_load(one, interval=reading.interval) for one in forces.T])
+    known = instant_columns(reading, steps, heights=[step.height for step in steps])[0]
+    columns = np.column_stack([known, *_free_after(reading, steps), felt])
+    # what was learned may take the friction for a force: at first by what is near the natural frequency alone
+    near = _within(reading, np.column_stack([columns[:, 1:], reading.values]))
+    sizes, covariance, squares = least_squares(near[:, -1], near[:, :-1])
+    told = 2 * reading.dynamics.natural_frequency * reading.interval * (SETTINGS.band[1] - SETTINGS.band[0]) * x.size
+    if -sizes[-1] < SETTINGS.worth_a_look * np.sqrt(covariance[-1, -1] * squares / told):
+        return None
+    filter_ = KalmanFilter.of(reading.system(fit_prior(reading, columns=columns)), reading.present)
+    sizes, covariance, _ = generalised_least_squares(filter_, reading.filled, columns)
+    return -float(sizes[-1]), float(np.sqrt(covariance[-1, -1]))
+
+
+def _free_after(reading: Observation, steps: Sequence[Step]) -> Iterator[Array]:
+    """Free oscillations from each step on, shape (n,) each: what is no step at all may have excited them."""
+    time = np.arange(reading.values.size, dtype=np.float64) * reading.interval
+    for step in steps:
+        since = time - step.instant - step.duration
+        for motion in free_motions(reading.dynamics.modes[0], np.maximum(since, 0.0)):
+            yield np.where(since >= 0, motion, 0.0)
+
+
+def _rings(x: Array, reading: Observation, steps: Sequence[Step], *, least: float) -> NDArray[np.bool_]:
+    """Where it rings by more than this after a step [N], shape (n,)."""
+    from scipy.ndimage import maximum_filter1d  # noqa: PLC0415 - takes 30 ms, and few records need it
+
+    period = max(round(1 / (reading.dynamics.natural_frequency * reading.interval)), 1)
+    level = maximum_filter1d(np.abs(x), period, origin=-(period // 2))
+    found = np.zeros(x.size, dtype=np.bool_)
+    ends = [int(np.ceil((step.instant + step.duration) / reading.interval)) for step in steps]
+    for first, last in pairwise(sorted([*ends, x.size])):
+        weak = np.flatnonzero(level[first:last] < least)
+        found[first : first + int(weak[0]) if weak.size else last] = True
+    return found
+
+
+def _within(reading: Observation, series: Array, *, rate: bool = False) -> Array:
+    """What series (n, k) have about the natural frequency, or its rate over the angular one, of their shape."""
+    count = len(series)
+    line = series[0] + (series[-1] - series[0]) * np.linspace(0, 1, count)[:, None]
+    closed = np.concatenate([series - line, (line - series)[::-1]])
+    frequency = np.fft.rfftfreq(2 * count, reading.interval)
+    ratio = frequency / reading.dynamics.natural_frequency
+    kept = ((ratio > SETTINGS.band[0]) & (ratio < SETTINGS.band[1])) * (1j * ratio if rate else 1.0)
+    return np.asarray(np.fft.irfft(np.fft.rfft(closed, axis=0) * kept[:, None], 2 * count, axis=0)[:count])
