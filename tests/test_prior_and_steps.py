@@ -184,6 +184,22 @@ def test_what_was_learned_does_not_hang_on_missing_readings(rng):
     assert some.spectrum.edges[0] == pytest.approx(whole.spectrum.edges[0], abs=0.4 + EDGE * 120)
 
 
+@pytest.mark.parametrize("lost", [400, 800])
+def test_the_level_of_a_force_does_not_hang_on_a_long_gap(lost, rng):
+    """What bridges it is its mean, so that the level was 0.5 of the force's with a quarter lost in the middle."""
+    count, edge, rms, records = 3200, 100.0, 200.0, 4
+    levels = []
+    for _ in range(records):
+        values = smooth_reading(rng, seconds=count / RATE, edge=edge, rms=rms).values.copy()
+        values[count // 2 - lost // 2 : count // 2 + lost // 2] = np.nan
+        learned = fit_prior(Observation(values, 1 / RATE, T128), columns=np.ones((count, 1)))
+        frequency = np.linspace(0.05 * edge, 0.95 * edge, 50)
+        levels.append(float(np.mean(learned.spectrum.density(frequency))))
+    # Two-sided. Of a band of 100 Hz a second of readings tells 100 ordinates with two degrees of freedom each, of
+    # which the window sees a half at the least: 14 % a record, five of these over the root of their number.
+    assert np.mean(levels) == pytest.approx(rms**2 / (2 * edge), rel=5 * 0.14 / np.sqrt(records))
+
+
 def test_smoother_with_a_learned_spectrum_is_the_gaussian_process(rng):
     """The obvious solution: a dense Gaussian process with the true covariance, from the true spectrum's integrals."""
     edge, level, noise, n = 120.0, 500.0, 2.0, 1600

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, ShapedNoise
-from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum, share_seen
+from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum, share_of, share_seen
 from aerobalance.estimation.spectra.whittle import fit_spectrum
-from aerobalance.estimation.statespace.kalman import LOAD, KalmanFilter, StateSpace
+from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, StateSpace
 from aerobalance.estimation.statespace.shaping_filter import EDGE, ShapingFilter
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
-from aerobalance.recording.resampling import interpolate_gaps_linearly
+from aerobalance.recording.resampling import gaps_in, interpolate_gaps_linearly
 
 BACKGROUND: Final = 1e-2
 """Variance of the force's background, over the variance of the estimate's error: nothing is taken as impossible."""
@@ -36,6 +36,14 @@ DEPENDENT: Final = 1e-7
 
 BESIDE_A_GAP: Final = 64
 """Readings on either side of a gap at most from whose mean a line leads across it."""
+
+
+HIDES: Final = 0.25
+"""Periods of the balance from which on a gap is looked at for what it hides of the force's power: what is in shorter
+ones is told by the readings beside them."""
+
+MOST_HIDDEN: Final = 0.9
+"""Share of the force's power that gaps may hide at most: of a record with less, its level is not made up for."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,7 +186,26 @@ def _learned_beside(
     reading: Observation, learned: SpectralPrior, columns: Array, *, smooth: bool = False
 ) -> SpectralPrior:
     """What is learned when the known shapes are taken out under a prior, and gaps bridged by its smoother."""
-    return _learn(reading, bridged(reading, learned, columns=columns), smooth=smooth)
+    filled = bridged(reading, learned, columns=columns)
+    return _learn(reading, filled, smooth=smooth, hidden=_hidden(reading, learned))
+
+
+def _hidden(reading: Observation, learned: SpectralPrior) -> float:
+    """Share of the force's power that gaps hide, though they are bridged, as a periodogram weights the record [1].
+
+    In the middle of a long gap what bridges it is hardly more than its mean: the level of the force would be too low
+    by that, and the uncertainty within the gap as well.
+    """
+    present = reading.present
+    longest = max((last - first for first, last in gaps_in(~present)), default=0)
+    if longest * reading.interval * reading.dynamics.natural_frequency < HIDES:
+        return 0.0
+    filter_ = _filter(reading, learned)
+    whole = float(filter_.system.initial[FORCE, FORCE])
+    if not whole > 0:
+        return 0.0
+    lost = np.where(present, 0.0, np.clip(filter_.smoothed_variance / whole, 0.0, 1.0))
+    return min(1 - share_of(1 - lost), MOST_HIDDEN)
 
 
 def bridged(reading: Observation, learned: SpectralPrior, *, columns: Array) -> Array:
@@ -241,8 +268,11 @@ def _widened(reading: Observation, learned: SpectralPrior, *, place: int, width:
     return replace(learned, spectrum=spectrum, shaping=_shaped(reading, spectrum, learned.noise**2 * reading.interval))
 
 
-def _learn(reading: Observation, values: Array, *, smooth: bool = False) -> SpectralPrior:
-    """The answer from readings without gaps and known shapes; what bridges a gap has no noise."""
+def _learn(reading: Observation, values: Array, *, smooth: bool = False, hidden: float = 0.0) -> SpectralPrior:
+    """The answer from readings without gaps and known shapes; what bridges a gap has no noise.
+
+    Of the force's power they lack the share that is hidden.
+    """
     interval, share = reading.interval, share_seen(reading.present)
     periodogram = periodogram_of(reading, values, share=share)
     fit = fit_spectrum(
@@ -253,8 +283,9 @@ def _learn(reading: Observation, values: Array, *, smooth: bool = False) -> Spec
         rising=reading.rising,
     )
     density = fit.noise_density / share
-    shaping = _shaped(reading, fit.spectrum, density)
-    return SpectralPrior(fit.spectrum, shaping, float(np.sqrt(density / interval)), reading.color, reading.rising)
+    spectrum = replace(fit.spectrum, levels=fit.spectrum.levels / (1 - hidden)) if hidden else fit.spectrum
+    shaping = _shaped(reading, spectrum, density)
+    return SpectralPrior(spectrum, shaping, float(np.sqrt(density / interval)), reading.color, reading.rising)
 
 
 def periodogram_of(reading: Observation, values: Array, *, share: float) -> Periodogram:

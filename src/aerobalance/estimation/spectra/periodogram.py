@@ -367,9 +367,12 @@ def _window(length: int) -> Array:
 
 def share_seen(present: NDArray[np.bool_]) -> float:
     """Share of the readings that a periodogram sees, weighted as its windows weight them."""
-    if present.all():
-        return 1.0
-    parts = _parts(present.astype(np.float64))
+    return 1.0 if present.all() else share_of(present.astype(np.float64))
+
+
+def share_of(shares: Array) -> float:
+    """Share of a record of which a share of each sample is seen, shape (n,), weighted as its windows weight them."""
+    parts = _parts(shares)
     weights = _window(parts[0].size) ** 2
     return float(np.mean([part @ weights for part in parts]) / np.sum(weights))
 
