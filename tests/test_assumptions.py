@@ -61,6 +61,13 @@ def test_the_effect_is_what_the_fault_does(name, kind, times):
     assert all(f"{one.effect:.2g} N rms" in one.text for one in force.assumed)
 
 
+def test_a_load_below_the_natural_frequency_does_not_tell_it():
+    """The ends of the record hold some force at the natural frequency, which once passed for knowledge of it."""
+    force, error = tried(replace(CASES["bandwidth 100 Hz, stiffness +5 %, 0-60 Hz"], settings={}))
+    # 5 % of stiffness is 2.5 % of the frequency, five times as much; to first order, of one realisation
+    assert 5 * effects(force)["natural frequency"] == pytest.approx(error, rel=0.35)
+
+
 def test_a_gain_changes_the_force_by_as_much():
     case = CASES["0-100 Hz, 200 N"]
     record = case.record(0)

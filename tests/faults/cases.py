@@ -747,4 +747,5 @@ def direct_inverses() -> Iterator[Case]:
             ("natural frequency",),
             dynamics=changed(stiffness=1.05),
             settings={"bandwidth": 100.0},
+            own=dynamics(),
         )

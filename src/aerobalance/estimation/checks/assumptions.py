@@ -8,12 +8,13 @@ percent off is seen where something rings, and not under a broad load in a short
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.colored_noise import noise_assumed
 from aerobalance.estimation.checks.mains_hum import hum_assumed
 from aerobalance.estimation.checks.model_error import error_under
@@ -22,6 +23,7 @@ from aerobalance.estimation.independent_record import SingleRecord, moves_along_
 from aerobalance.estimation.prior import generalised_least_squares
 from aerobalance.estimation.record import ComponentRecord, Through
 from aerobalance.estimation.spectra.line_noise import Hum
+from aerobalance.estimation.steps import response_to, shape_of
 from aerobalance.motion.platform import SystematicParameter, driven_column
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY, si_unit
@@ -50,9 +52,11 @@ class AssumptionSettings:
     mass
         Relative error of a mass [1].
     matters
-        Effect of an angle's zero over the scatter of the force, from which it is told.
+        Effect of an angle's zero, or a natural frequency, over the scatter of the force, from which it is told.
     told
         Its standard uncertainty by the record, over that, up to which the record tells it.
+    band
+        Density of a force over its largest from which on it has power to show a natural frequency with.
     """
 
     corner: float = 0.4
@@ -63,6 +67,7 @@ class AssumptionSettings:
     mass: float = 0.01
     matters: float = 0.1
     told: float = 0.5
+    band: float = 1e-4
 
 
 SETTINGS: Final = AssumptionSettings()
@@ -168,13 +173,15 @@ def _of_single(record: SingleRecord, fit: SmootherResult, unit: str) -> Iterator
     stated = own.uncertainty("natural_frequency") / own.natural_frequency
     if stated > SETTINGS.told * SETTINGS.frequency:
         return
-    error = error_under(
-        fit.force, own=own, other=own.retuned(frequency=1 + SETTINGS.frequency, damping=1.0), interval=record.interval
-    )
-    felt = record.felt_under(SystematicParameter("", "", -error / own.mass, 0.0))
+    other = own.retuned(frequency=1 + SETTINGS.frequency, damping=1.0)
+    error = error_under(fit.force, own=own, other=other, interval=record.interval)
+    effect = float(np.sqrt(np.mean(error**2)))
+    if effect < SETTINGS.matters * float(np.sqrt(np.mean(fit.variance))):
+        return
+    shown = _shown_by(record, fit, other)
     known = instant_columns(fit.reading, fit.steps, heights=[step.height for step in fit.steps])[0]
     try:
-        _, covariance, _ = generalised_least_squares(fit.filter, fit.reading.filled, np.column_stack([known, felt]))
+        _, covariance, _ = generalised_least_squares(fit.filter, fit.reading.filled, np.column_stack([known, shown]))
     except FitError:
         return
     u = float(np.sqrt(covariance[-1, -1]))
@@ -184,7 +191,27 @@ def _of_single(record: SingleRecord, fit: SmootherResult, unit: str) -> Iterator
         f"the natural frequency of {name} is {own.natural_frequency:.5g} Hz, which this record does not tell: "
         f"{100 * SETTINGS.frequency:g} % more or less would change the force by {{}}"
     )
-    yield _told("natural frequency", name, text, float(np.sqrt(np.mean(error**2))), unit)
+    yield _told("natural frequency", name, text, effect, unit)
+
+
+def _shown_by(record: SingleRecord, fit: SmootherResult, other: Dynamics) -> Array:
+    """What the readings show of it that the balance is another, shape (n,) [N]: by the steps, and by the other force.
+
+    The force has no power beyond its band: what the ends of the record leave of it there, at the natural frequency
+    above all, would pass for knowledge of that.
+    """
+    reading, count = fit.reading, fit.force.size
+    there = replace(reading, dynamics=other)
+    staircase, shown = np.zeros(count), np.zeros(count)
+    for step in fit.steps:
+        staircase += step.height * shape_of(step, reading)
+        shown += step.height * (response_to(step, there) - response_to(step, reading))
+    frequency = np.asarray(np.fft.rfftfreq(2 * count, record.interval), dtype=np.float64)
+    density = fit.learned.spectrum.density(frequency)
+    rest = fit.force - staircase
+    lines = np.fft.rfft(np.concatenate([rest, rest[::-1]])) * (density > SETTINGS.band * density.max(initial=0.0))
+    change = other.response(frequency) - record.dynamics.response(frequency)
+    return shown + np.fft.irfft(lines * change, 2 * count)[:count]
 
 
 def _told(kind: str, component: str, text: str, effect: float, unit: str) -> Assumption:
