@@ -68,6 +68,17 @@ def test_a_load_below_the_natural_frequency_does_not_tell_it():
     assert 5 * effects(force)["natural frequency"] == pytest.approx(error, rel=0.35)
 
 
+@pytest.mark.parametrize("settings", [{"bandwidth": 100.0}, {"method": "paper"}])
+def test_a_direct_inverse_assumes_as_much(settings):
+    case = CASES["bandwidth 100 Hz, stiffness +5 %, 0-60 Hz"]
+    force, _ = tried(replace(case, settings=settings))
+    optimal, _ = tried(replace(case, settings={}))
+    assert set(effects(force)) == {"load filter", "gain", "natural frequency"}
+    for kind, effect in effects(force).items():
+        # of one record, its steps found or not
+        assert effect == pytest.approx(effects(optimal)[kind], rel=0.1), kind
+
+
 def test_a_gain_changes_the_force_by_as_much():
     case = CASES["0-100 Hz, 200 N"]
     record = case.record(0)

@@ -91,6 +91,13 @@ def estimated(record: ComponentRecord, *, method: Method, bandwidth: float | Non
     # what lies beyond the band, as an optimal estimate shows it; without a search for steps, which takes longer
     smoothed = Fitted.without_steps(record).smoothed
     error, lasts = missed(record, found.values, smoothed.force, bandwidth)
+    # a noise of some color and hum are taken for force by the smoother alone
+    assumed = (
+        one
+        for one in assumptions_of(record, smoothed, smoothed.estimator.run, hum="keep")
+        if one.kind != "colored noise"
+    )
+    found = replace(found, assumed=tuple(assumed))
     return with_errors(found, as_noise(error, name=BEYOND_THE_BAND, period=lasts, interval=record.interval))
 
 
