@@ -91,7 +91,7 @@ def ground_faults(asked: Witnesses) -> dict[str, list[GroundFault]]:
         if shapes is None:
             return None, None
         columns = white.with_drift(shapes.felt)
-        shows = white.solved(columns).explained > SETTINGS.worth_a_look
+        shows = white.solved(columns).explained > asked.worth_a_look
         hint = Far.of(white, columns[..., 1], samples=asked.recording.samples, pace=shapes.pace)
         late = hint is not None and hint.gained >= asked.promising(shapes.pace)
         return asked.with_drift(shapes) if shows else None, (hint, shapes) if hint is not None and late else None
@@ -171,7 +171,7 @@ def measured(asked: Witnesses, name: str) -> tuple[ChannelShapes, Solved] | None
     shapes = asked.with_drift(shapes)
     white = White.of(asked, [one.fit.filter for one in asked.all])
     found = white.solved(white.columns(shapes.felt))
-    if found.explained > SETTINGS.worth_a_look:
+    if found.explained > asked.worth_a_look:
         white = _without(asked, [shapes])
         found = white.solved(white.columns(shapes.felt))
     return shapes, found

@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 from scipy.fft import irfft, rfft
-from scipy.special import ndtr, ndtri
+from scipy.special import chdtrc, chdtri, ndtr, ndtri
 
 from aerobalance.estimation.force_smoother import SmootherResult, instant_columns
 from aerobalance.estimation.prior import fit_prior
@@ -46,7 +46,8 @@ class GroundChannelSettings:
         Error of the force from it over the uncertainty of the force (both rms) from which it is told.
     worth_a_look
         Chi-square of delay, gain and drift (three degrees of freedom) from which the force's spectrum is learned again
-        without them: once in ten by chance. With what is left of the motion in the force it is far less than without.
+        without them, of one channel: once in ten by chance, as often as of one of several then. With what is left of
+        the motion in the force it is far less than without.
     bands, stands_out, clearly
         Bands of a channel's spectrum, its level over that of its noise from which a band has motion, and from which it
         is motion alone: where the force has no power, a shape is compared with the noise of the load alone, and its
@@ -235,6 +236,11 @@ class Witnesses:
     def sure(self) -> float:
         """Standard uncertainties that a delay or a gain of one of the channels has to be off."""
         return -float(ndtri(ndtr(-SETTINGS.sure) / len(self.changes.channels)))
+
+    @property
+    def worth_a_look(self) -> float:
+        """Chi-square of a channel's shapes from which on the force's spectrum is learned again without them."""
+        return float(chdtri(SHAPES, chdtrc(SHAPES, SETTINGS.worth_a_look) / len(self.changes.channels)))
 
     @property
     def least(self) -> float:
