@@ -291,7 +291,7 @@ FORMATS: dict[str, Way] = {
     "own HDF5": ("own.h5", "h5py", "part", write_recording, with_own, "AF"),
     "HDF5 of others": ("other.h5", "h5py", "part", write_hdf5, with_h5py, "AF"),
     "MATLAB 7.3": ("seven.mat", "h5py", "part", write_mat73, with_h5py, "AF"),
-    "MATLAB 5": ("five.mat", "scipy", "variable", write_recording, with_loadmat, "AF"),
+    "MATLAB 5": ("five.mat", "scipy", "part", write_recording, with_loadmat, "AF"),
     "NetCDF-4": ("four.nc", "h5netcdf", "part", write_recording, with_h5netcdf, "AF"),
     "NetCDF-3": ("three.nc", "scipy", "part", write_netcdf3, with_netcdf_file, "AF"),
     "Parquet": ("a.parquet", "pyarrow", "row group", write_recording, with_parquet, "AF [N]"),

@@ -2,6 +2,7 @@
 
 import importlib.util
 import json
+import struct
 import subprocess
 import sys
 import tomllib
@@ -18,6 +19,7 @@ from aerobalance.io import (
     column_names,
     format_library,
     load_channel_map,
+    mat_file,
     read,
     series_values,
     template,
@@ -360,7 +362,7 @@ def long_files(tmp_path_factory):
     return folder, recording
 
 
-@pytest.mark.parametrize("ending", ["nc", "parquet", "uff", "h5"])
+@pytest.mark.parametrize("ending", ["nc", "parquet", "uff", "mat", "h5"])
 def test_a_long_file_is_read_in_parts(long_files, ending, monkeypatch) -> None:
     folder, recording = long_files
     with open_record(folder / f"a.{ending}") as record:
@@ -382,11 +384,79 @@ def test_a_map_is_used_in_parts(long_files) -> None:
         assert not isinstance(record, Recording)
         part = record.part(10, 20)
     np.testing.assert_allclose(part.channel("NF").values, -recording.channel("AF").values[10:20], rtol=3e-16)
-    with open_record(folder / "a.mat", channel_map=chosen) as record:
-        assert isinstance(record, Recording)  # a variable is read whole
 
 
-@pytest.mark.parametrize("ending", ["nc", "parquet", "h5"])
+def test_numbers_of_matlab_5_are_read_in_parts_where_they_are_not_packed(tmp_path) -> None:
+    from scipy.io import savemat
+
+    counts = np.arange(LONG) % 1000 - 500
+    toml = tmp_path / "map.toml"
+    table = np.stack([counts, counts / 4])
+    for packed in (False, True):
+        path = tmp_path / f"{packed}.mat"
+        given = {"AF": counts.astype(np.int16), "NF": (counts / 8).astype(np.float32)[:, None], "dt": 1 / RATE}
+        savemat(path, given | {"up": np.asfortranarray(table.T), "along": table}, do_compression=packed)
+        for column, expected in (
+            *(("AF", counts), ("NF", counts / 8), ("up(:,2)", counts / 4)),
+            *(("along(1,:)", counts), ("along(2,:)", counts / 4)),
+        ):
+            toml.write_text(f'[channels.AF]\ncolumn = "{column}"\nunit = "N"\n')
+            chosen = load_channel_map(toml)
+            with open_record(path, channel_map=chosen) as record:
+                assert isinstance(record, Recording) == packed
+                for begin, end in ((0, LONG), (30_000, 31_000), (LONG - 1, LONG)):
+                    found = record.part(begin, end).channel("AF").values
+                    np.testing.assert_array_equal(found, expected[begin:end])
+            np.testing.assert_array_equal(read(path, channel_map=chosen).channel("AF").values, expected)
+
+
+def test_matlab_5_of_another_byte_order(tmp_path) -> None:
+    """After the format's description: two double arrays, written here as a machine of the other byte order does."""
+
+    def variable(name: str, values: np.ndarray) -> bytes:
+        head = struct.pack(">4I2I2i", 6, 8, 6, 0, 5, 8, values.size, 1)
+        head += (
+            struct.pack(">2H4s", 2, 1, b"AF") if name == "AF" else struct.pack(">2I8s", 1, len(name), name.encode())
+        )
+        body = head + struct.pack(">2I", 9, 8 * values.size) + values.astype(">f8").tobytes()
+        return struct.pack(">2I", 14, len(body)) + body
+
+    path, toml = tmp_path / "a.mat", tmp_path / "map.toml"
+    path.write_bytes(
+        b"MATLAB 5.0 MAT-file".ljust(124) + b"\x01\x00MI" + variable("AF", LOAD) + variable("pitch", PITCH)
+    )
+    toml.write_text('[file]\nrate = 1000\n[channels.AF]\ncolumn = "AF"\nunit = "N"\n')
+    np.testing.assert_array_equal(read(path, channel_map=load_channel_map(toml)).channel("AF").values, LOAD)
+
+
+@pytest.mark.parametrize("expected", [0, 1, 250, 400, 5000])
+def test_a_matlab_file_of_more_or_fewer_rows_than_expected(tmp_path, expected) -> None:
+    from scipy.io import loadmat
+
+    path = tmp_path / "a.mat"
+    with mat_file.appending(path, ["time [s]", "AF [N]", "pitch [deg]"], rows=expected) as append:
+        for begin in range(0, TIME.size, 70):
+            part = slice(begin, begin + 70)
+            append({"time [s]": TIME[part], "AF [N]": LOAD[part], "pitch [deg]": PITCH[part]})
+    found = loadmat(path, squeeze_me=True)
+    for name, values in (("time", TIME), ("AF", LOAD), ("pitch", PITCH)):
+        np.testing.assert_array_equal(found[name], values)
+    assert str(found["units"]["pitch"]) == "deg"
+
+
+def test_a_variable_beyond_what_matlab_5_can_hold_is_refused(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr(mat_file, "_LARGEST", 8 * 1000)
+    path = tmp_path / "a.mat"
+    with (
+        pytest.raises(ValueError, match=r"a variable of MATLAB 5 has at most 2 GB; write .h5 or .parquet"),
+        mat_file.appending(path, ["time [s]", "AF [N]"], rows=5000) as append,
+    ):
+        for _ in range(3):
+            append({"time [s]": TIME, "AF [N]": LOAD})
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("ending", ["nc", "parquet", "mat", "h5"])
 def test_a_long_file_is_converted_in_parts(long_files, ending, tmp_path, monkeypatch, capsys) -> None:
     folder, _ = long_files
     whole = read(folder / f"a.{ending}")

@@ -40,8 +40,10 @@ def unpacked_variable(path: Path, where: str, packed: bytes, most: int) -> bytes
         raise ReadError(path, where, f"cannot be unpacked ({error}): it is damaged") from None
 
 
-def check_variable(path: Path, where: str, given: bytes | memoryview, order: str, *, whole: bool) -> None:
-    """Refuse a variable whose elements are of impossible types, lengths or dimensions.
+def check_variable(
+    path: Path, where: str, given: bytes | memoryview, order: str, *, whole: bool
+) -> tuple[int, int, int] | None:
+    """Return where the numbers of a variable are; refuse one of impossible types, lengths or dimensions.
 
     Parameters
     ----------
@@ -54,6 +56,12 @@ def check_variable(path: Path, where: str, given: bytes | memoryview, order: str
     whole
         Whether the content is whole; what lies beyond its end is not looked at otherwise.
 
+    Returns
+    -------
+    tuple or None
+        Type of the element of its (real) numbers, the byte at which they begin, and how many bytes they have; None for
+        a variable that is none of numbers.
+
     Raises
     ------
     ReadError
@@ -61,7 +69,7 @@ def check_variable(path: Path, where: str, given: bytes | memoryview, order: str
     """
     with memoryview(given) as view:
         end = len(given) if whole else 1 << 62
-        _VariableCheck(path, where, view, order, whole).matrix(0, end, 0)
+        return _VariableCheck(path, where, view, order, whole).matrix(0, end, 0)
 
 
 class _VariableCheck:
@@ -92,10 +100,10 @@ class _VariableCheck:
             raise self._fail(place, f"has an element of {length} bytes where {end - begin} are left")
         return kind, begin, length, after
 
-    def matrix(self, place: int, end: int, depth: int) -> None:
-        """Check the elements of a variable, or of one in it, from one place to another."""
+    def matrix(self, place: int, end: int, depth: int) -> tuple[int, int, int] | None:
+        """Check the elements of a variable, or of one in it, from one place to another; where its numbers are."""
         if end == place:  # an empty field
-            return
+            return None
         if depth > _DEEPEST:
             raise self._fail(place, f"is nested more than {_DEEPEST} times")
         kind, begin, length, place = self._element(place, end)
@@ -104,7 +112,7 @@ class _VariableCheck:
         (flags,) = struct.unpack_from(f"{self._order}I", self._view, begin)
         content = flags & 0xFF
         if not 1 <= content <= _LAST_PLAIN:
-            return  # functions and objects, which are not read
+            return None  # functions and objects, which are not read
         kind, begin, length, place = self._element(place, end)
         if kind != 5 or length % 4 or not 8 <= length <= 4 * _MOST_DIMENSIONS:
             raise self._fail(begin, "has no dimensions where they belong")
@@ -117,19 +125,21 @@ class _VariableCheck:
             place, fields = self._fields(place, end, content)
             members *= fields
         nested = content in (_CELL, _STRUCT, _OBJECT)
-        count = 0
+        pieces: list[tuple[int, int, int]] = []
         while place + 8 <= end and (self._whole or place + 8 <= len(self._view)):
             kind, begin, length, place = self._element(place, end if self._whole else 1 << 62)
             if nested != (kind == MATRIX) or (not nested and content != _CHAR and kind not in _NUMBERS):
                 raise self._fail(begin, f"has an element of type {kind} in a variable of class {content}")
             if nested:
                 self.matrix(begin, begin + length, depth + 1)
-            count += 1
+            pieces.append((kind, begin, length))
+        count = len(pieces)
         if nested and count != members:
             raise self._fail(place, f"has {count} of {members} members")
         needed = (3 if content == _SPARSE else 1) + bool(flags & COMPLEX)
         if not nested and self._whole and count < needed:
             raise self._fail(place, f"has {count} of {needed} pieces of content")
+        return pieces[0] if pieces and not nested and content not in (_CHAR, _SPARSE) else None
 
     def _fields(self, place: int, end: int, content: int) -> tuple[int, int]:
         """Check the names of fields, and return where they end and how many there are."""

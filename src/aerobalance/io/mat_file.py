@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import io
+import math
 import mmap
 import re
 import struct
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple
@@ -37,6 +39,7 @@ _HEADER: Final = 128
 _HEAD: Final = 4096
 _STRUCT, _CELL, _OBJECT, _CHAR, _SPARSE, _FUNCTION, _OPAQUE = 2, 1, 3, 4, 5, 16, 17
 _ITEM: Final = {6: 8, 7: 4, 8: 1, 9: 1, 10: 2, 11: 2, 12: 4, 13: 4, 14: 8, 15: 8}
+_NUMBERS: Final = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8", 13: "u8"}
 _UNPACKED: Final = 1100
 _TABLES: Final = ("unit", "units", "names", "sensors", "epoch")
 _KEYWORDS: Final = (
@@ -56,6 +59,7 @@ _KEYWORDS: Final = (
 _LONGEST_NAME: Final = 50
 _LARGEST: Final = 2**31 - 1024
 _DEEPEST: Final = 4
+_MOVED: Final = 1 << 22
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,12 +76,18 @@ class _Variable:
         Its dimensions.
     size
         Bytes that it has in the file.
+    begin
+        Byte of the file at which its numbers begin, one column after the other.
+    numbers
+        Their type in the file; None where they have to be unpacked or made first.
     """
 
     name: str
     kind: int
     shape: tuple[int, ...]
     size: int
+    begin: int = 0
+    numbers: np.dtype[Any] | None = None
 
 
 def can_read(head: bytes, path: Path) -> bool:
@@ -88,7 +98,7 @@ def can_read(head: bytes, path: Path) -> bool:
 
 @contextlib.contextmanager
 def opened(path: Path) -> Iterator[Holdings]:
-    """Open a file to read its variables as series; each variable is unpacked when it is wanted.
+    """Open a file to read its variables as series; one that is packed is unpacked whole when it is wanted.
 
     Raises
     ------
@@ -100,7 +110,8 @@ def opened(path: Path) -> Iterator[Holdings]:
         walk = _VariableWalk(path)
         small = {one.name: _load(path, one.name) for one in variables if _is_small(one)}
         walk.level("", small, variables)
-        holdings = Holdings(with_axes(walk.series), walk.epoch, parts=False)
+        plain = all(one.numbers is not None for one in variables if one.kind in _ITEM and not _is_small(one))
+        holdings = Holdings(with_axes(walk.series), walk.epoch, parts=plain)
     yield holdings
 
 
@@ -133,8 +144,9 @@ def _variables(path: Path) -> list[_Variable]:
                 raise ReadError(
                     path, f"{where}, {variable.name!r}", f"claims {held} bytes, stored in {count}: it is damaged"
                 )
-            _check(path, f"{where}, {variable.name!r}", file, _VariablePlace(kind, place + 8, count, order), variable)
-            found.append(variable)
+            at = _VariablePlace(kind, place + 8, count, order)
+            numbers = _check(path, f"{where}, {variable.name!r}", file, at, variable)
+            found.append(_with_numbers(variable, at, numbers))
             file.seek(place + 8 + count)
     return found
 
@@ -177,8 +189,21 @@ class _VariablePlace(NamedTuple):
     order: str
 
 
-def _check(path: Path, where: str, file: BinaryIO, at: _VariablePlace, variable: _Variable) -> None:
-    """Refuse a variable whose elements, or whose size when unpacked, cannot be."""
+def _with_numbers(variable: _Variable, at: _VariablePlace, numbers: tuple[int, int, int] | None) -> _Variable:
+    """Return a variable with the place of its numbers, where they stand in the file one column after the other."""
+    if numbers is None or variable.kind not in _ITEM:
+        return variable
+    kind, begin, length = numbers
+    stored = np.dtype(f"{at.order}{_NUMBERS[kind]}")
+    if len(variable.shape) != 2 or length != math.prod(variable.shape) * stored.itemsize:
+        return variable
+    return replace(variable, begin=at.begin + begin, numbers=stored)
+
+
+def _check(
+    path: Path, where: str, file: BinaryIO, at: _VariablePlace, variable: _Variable
+) -> tuple[int, int, int] | None:
+    """Refuse a variable whose elements, or whose size when unpacked, cannot be; where its numbers are, unpacked."""
     file.seek(at.begin)
     if at.kind != PACKED:
         with (
@@ -186,8 +211,7 @@ def _check(path: Path, where: str, file: BinaryIO, at: _VariablePlace, variable:
             memoryview(whole) as view,
             view[at.begin : at.begin + at.length] as content,
         ):
-            check_variable(path, where, content, at.order, whole=True)
-        return
+            return check_variable(path, where, content, at.order, whole=True)
     packed = file.read(min(at.length, _HEAD))
     begin = zlib.decompressobj().decompress(packed, 8)
     if len(begin) < 8:
@@ -197,9 +221,10 @@ def _check(path: Path, where: str, file: BinaryIO, at: _VariablePlace, variable:
         raise ReadError(path, where, f"claims {length} bytes unpacked of {at.length}: it is damaged")
     if variable.kind in (*_ITEM, COMPLEX):  # its numbers follow its head in one piece
         check_variable(path, where, unpacked_variable(path, where, packed, _HEAD), at.order, whole=False)
-        return
+        return None
     packed += file.read(at.length - len(packed))
     check_variable(path, where, unpacked_variable(path, where, packed, length + 8), at.order, whole=True)
+    return None
 
 
 def _load(path: Path, name: str) -> Any:
@@ -238,7 +263,10 @@ class _VariableWalk:
                 load = cache(lambda name=one.name: _load(self.path, name))
                 text = names.get(one.name, one.name)
                 unit, known = units.get(one.name, ""), sensor_of(sensors.get(one.name))
-                self._array(one.name, text, one.shape, load, unit=unit, clock=clock, kind=one.kind, sensor=known)
+                stored = None if one.numbers is None else _Stored(self.path, one)
+                self._array(
+                    one.name, text, one.shape, load, unit=unit, clock=clock, kind=one.kind, sensor=known, stored=stored
+                )
         for name, value in given.items():
             label = f"{place}.{name}" if place else name
             if isinstance(value, np.ndarray) and value.dtype.names and name.lower() not in _TABLES:
@@ -273,6 +301,7 @@ class _VariableWalk:
         clock: Clock | None,
         kind: int,
         sensor: SensorSpec | None = None,
+        stored: _Stored | None = None,
     ) -> None:
         """Take an array: one series of a row or a column, or one for each column of a matrix."""
         if kind not in _ITEM:
@@ -289,7 +318,8 @@ class _VariableWalk:
             raise ReadError(self.path, "variables", f"hold more than {MOST_SERIES} columns, which no recording has")
         for k in range(columns):
             mark = "" if columns == 1 else f"(:,{k + 1})" if shape[0] >= shape[1] else f"({k + 1},:)"
-            read = _reader(load, k, upright=shape[0] >= shape[1])
+            upright = shape[0] >= shape[1]
+            read = _reader(load, k, upright=upright) if stored is None else stored.reader(k)
             self.series.append(
                 Series(
                     f"{label}{mark}",
@@ -302,6 +332,45 @@ class _VariableWalk:
                     sensor=sensor or SensorSpec(),
                 )
             )
+
+
+class _Stored:
+    """Numbers of a variable that are read from the file as they stand there.
+
+    Parameters
+    ----------
+    path
+        The file.
+    variable
+        Which one; of a matrix the longer side is the time.
+    """
+
+    def __init__(self, path: Path, variable: _Variable) -> None:
+        self._path, self._variable = path, variable
+        self._bounds, self._last = (0, 0), np.empty((0, 0))
+
+    def reader(self, column: int) -> Any:
+        """Return what reads a part of one column (or row, where rows are longer)."""
+        rows, columns = self._variable.shape
+        if rows >= columns:
+            return lambda begin, end: self._read(column * rows + begin, end - begin)
+        return lambda begin, end: self._table(begin, end)[:, column]
+
+    def _table(self, begin: int, end: int) -> Any:
+        """Samples of all rows; what was read last is kept, as all of them ask for it."""
+        if self._bounds != (begin, end):
+            rows = self._variable.shape[0]
+            self._last = self._read(begin * rows, (end - begin) * rows).reshape(-1, rows)
+            self._bounds = begin, end
+        return self._last
+
+    def _read(self, first: int, count: int) -> Any:
+        """Read so many numbers from one on."""
+        kind = self._variable.numbers
+        assert kind is not None
+        with self._path.open("rb") as file:
+            file.seek(self._variable.begin + first * kind.itemsize)
+            return np.fromfile(file, kind, count)
 
 
 def _reader(load: Any, column: int, *, upright: bool) -> Any:
@@ -346,41 +415,104 @@ def appending(
     """
     from scipy.io import savemat  # noqa: PLC0415 - a tenth of a second, and only these files need it
 
-    # one place for all rows that are expected: pages of it that are never written take no memory
-    most = _LARGEST // 8 + 1
-    whole = {label: np.empty(min(rows, most)) for label in labels}
-    written = 0
-
-    def append(columns: Mapping[str, Array]) -> None:
-        nonlocal written
-        end = written + len(columns[labels[0]])
-        for label in labels:
-            if end > whole[label].size:
-                whole[label] = np.concatenate([whole[label][:written], np.empty(end)])
-            whole[label][written:end] = columns[label]
-        written = end
-
+    small: dict[str, Any] = {}
+    tables: dict[str, dict[str, str]] = {"units": {}, "names": {}, "sensors": {}}
+    variables: dict[str, str] = {}
+    for label in labels:
+        name, unit = split_label(label)
+        variable = _variable_name(name, tables["names"])
+        variables[label] = variable
+        tables["units"][variable], tables["names"][variable] = unit, name
+        if described and label in described and (text := sensor_text(described[label])):
+            tables["sensors"][variable] = text
+    small |= {name: table for name, table in tables.items() if table}
+    if epoch is not None:
+        small["epoch"] = str(epoch)
+    head: Any = io.BytesIO()
+    savemat(head, small, long_field_names=True)
     with replacing(path) as beside:
-        yield append
-        content: dict[str, Any] = {}
-        tables: dict[str, dict[str, str]] = {"units": {}, "names": {}, "sensors": {}}
-        for label in labels:
-            name, unit = split_label(label)
-            variable = _variable_name(name, content)
-            content[variable] = whole.pop(label)[:written]
-            if content[variable].nbytes > _LARGEST:
-                raise ValueError(
-                    f"cannot write {path}: a variable of MATLAB 5 has at most 2 GB; write .h5 or .parquet"
-                )
-            tables["units"][variable], tables["names"][variable] = unit, name
-            if described and label in described and (text := sensor_text(described[label])):
-                tables["sensors"][variable] = text
-        content |= {name: table for name, table in tables.items() if table}
-        if epoch is not None:
-            content["epoch"] = str(epoch)
-        with beside.open("wb") as file:
-            stream: Any = file
-            savemat(stream, content, oned_as="column", long_field_names=True)
+        try:
+            with beside.open("r+b") as file:
+                file.write(head.getvalue())
+                columns = _Columns(file, variables, rows)
+                yield columns.append
+                columns.finish()
+        except OverflowError:
+            raise ValueError(
+                f"cannot write {path}: a variable of MATLAB 5 has at most 2 GB; write .h5 or .parquet"
+            ) from None
+
+
+class _Columns:
+    """Variables of one column each, of which some rows are written at a time, each to its place.
+
+    Parameters
+    ----------
+    file
+        The file; the variables begin where it ends.
+    variables
+        Name of the variable by label of the column.
+    rows
+        Number of rows that are expected; where there are others, the variables are moved.
+    """
+
+    def __init__(self, file: BinaryIO, variables: Mapping[str, str], rows: int) -> None:
+        self._file, self._variables, self._first = file, variables, file.tell()
+        self._room, self._written = min(max(rows, 1), _LARGEST // 8), 0
+
+    def append(self, columns: Mapping[str, Array]) -> None:
+        """Write the next rows of all columns.
+
+        Raises
+        ------
+        OverflowError
+            A variable has more bytes than the format allows.
+        """
+        end = self._written + len(next(iter(columns.values())))
+        if 8 * end > _LARGEST:
+            raise OverflowError
+        if end > self._room:
+            self._move(min(max(end, 2 * self._room), _LARGEST // 8))
+        for number, label in enumerate(self._variables):
+            self._file.seek(self._place(number, self._room) + 8 * self._written)
+            self._file.write(np.ascontiguousarray(columns[label], dtype="<f8").data)
+        self._written = end
+
+    def finish(self) -> None:
+        """Close up the variables, and write what stands before each."""
+        self._move(self._written)
+        for number, name in enumerate(self._variables.values()):
+            self._file.seek(self._place(number, self._room) - len(_before(name, 0)))
+            self._file.write(_before(name, self._written))
+        self._file.truncate(self._place(len(self._variables) - 1, self._room) + 8 * self._written)
+
+    def _place(self, number: int, room: int) -> int:
+        """Where the numbers of a variable begin if each has room for so many rows [bytes]."""
+        names = list(self._variables.values())[: number + 1]
+        return self._first + sum(len(_before(name, 0)) for name in names) + 8 * room * number
+
+    def _move(self, room: int) -> None:
+        """Give every variable room for so many rows."""
+        grows = room > self._room
+        order = range(len(self._variables))
+        for number in reversed(order) if grows else order:
+            old, new = self._place(number, self._room), self._place(number, room)
+            parts = range(0, 8 * self._written if old != new else 0, _MOVED)
+            for part in reversed(parts) if grows else parts:
+                self._file.seek(old + part)
+                moved = self._file.read(min(_MOVED, 8 * self._written - part))
+                self._file.seek(new + part)
+                self._file.write(moved)
+        self._room = room
+
+
+def _before(name: str, rows: int) -> bytes:
+    """What stands before the numbers of a variable of one column: a multiple of 8 bytes."""
+    text = name.encode("ascii")
+    described = struct.pack("<4I", 6, 8, 6, 0) + struct.pack("<2I2i", 5, 8, rows, 1)
+    described += struct.pack("<2I", 1, len(text)) + text + bytes(-len(text) % 8)
+    numbers = struct.pack("<2I", 9, 8 * rows)
+    return struct.pack("<2I", MATRIX, len(described) + len(numbers) + 8 * rows) + described + numbers
 
 
 def _variable_name(name: str, taken: Mapping[str, Any]) -> str:
