@@ -1,9 +1,13 @@
 """Writes docs/formats.md: what is measured of every format, beside the library of the format alone.
 
     python docs/formats.py [--samples 15000000] [--folder build/formats] [--page docs/formats.md] [NAME ...]
+    python docs/formats.py --damaged 10000 [NAME ...]
 
 Files of twelve channels are written and read, each in a process of its own; of those named, or of all. Rows that were
 measured before are kept in FOLDER/rows.json. Takes 4 GB of memory and as much of the disk.
+
+With ``--damaged`` small files are damaged byte by byte and read instead, until so many of every format were: counts
+are kept in FOLDER/damaged.json, and what must not be in FOLDER/faults.txt; the format with the fewest is next.
 """
 
 from __future__ import annotations
@@ -306,6 +310,10 @@ FORMATS: dict[str, Way] = {
 }
 
 
+DAMAGED = (*FORMATS, "LabVIEW LVM")
+"""Formats of which damaged files are read."""
+
+
 def with_this(path: Path, keys: list[str] | None) -> list[np.ndarray]:
     """Read columns as the commands do, before they are made channels."""
     from aerobalance.io import format_of
@@ -377,6 +385,125 @@ def row(name: str, samples: int, folder: Path) -> dict[str, Any]:
     return found
 
 
+DAMAGED_AT_ONCE = 200
+"""Damaged copies of one file that are read by one process."""
+
+
+def originals(name: str, folder: Path) -> list[tuple[Path, str]]:
+    """Write small files of a format, as several programs do, and return them, each with the channel map it needs."""
+    from aerobalance.io import template
+    from helpers.foreign_files import FILES
+    from helpers.text_exports import EXPORTS, completed
+
+    folder.mkdir(parents=True, exist_ok=True)
+    found = []
+    if name in FORMATS:
+        file, _, _, write, _, _ = FORMATS[name]
+        write(folder / file, 200)
+        keys = ["AF"] if name == "MATLAB 7.3" else ["channel 6"] if name == "WAV" else []
+        lines = [f'[channels.AF]\ncolumn = "{key}"\nunit = "N"\n' for key in keys]
+        if lines:
+            (folder / "own.toml").write_text("".join(lines), encoding="utf-8")
+        found.append((folder / file, str(folder / "own.toml") if lines else ""))
+    for given in FILES:
+        if given.name in OF_OTHERS.get(name, ()):
+            given.make(folder / given.name)
+            found.append((folder / given.name, ""))
+    for export in [make() for make in EXPORTS] if name in ("text (CSV)", "LabVIEW LVM") else []:
+        if export.name.endswith(".lvm") == (name == "LabVIEW LVM"):
+            path, toml = folder / f"{len(found)}-{export.name}", folder / f"{len(found)}.toml"
+            path.write_bytes(export.content)
+            toml.write_text(completed(template(path), export.names), encoding="utf-8")
+            found.append((path, str(toml)))
+    return found
+
+
+OF_OTHERS = {
+    "MATLAB 5": ("plain.mat", "packed.mat", "struct.mat"),
+    "MATLAB 7.3": ("new.mat",),
+    "HDF5 of others": ("paths.h5", "table.h5"),
+    "NetCDF-4": ("four.nc", "dated.nc"),
+    "NetCDF-3": ("three.nc",),
+    "Zarr": ("three.zarr", "dated.zarr", "two.zarr", "store.zip", "folder.zip"),
+    "Parquet": ("columns.parquet",),
+    "Arrow": ("columns.feather", "columns.arrows"),
+    "MDF 4": ("plain.mf4", "packed.mf4"),
+    "UFF 58": ("text.uff",),
+    "UFF 58b": ("binary.uff", "uneven.uff"),
+}
+"""Small files of other programs that are damaged, by format."""
+
+
+def damage(names: list[str], wanted: int, folder: Path, save: Callable[[], None]) -> None:
+    """Read damaged copies until there are so many of every format, and keep the counts."""
+    from helpers.mutations import trial, without_place
+
+    files: dict[str, list[tuple[Path, str]]] = {}
+    while True:
+        rows = kept_rows(folder / "damaged.json")
+        name = min(names, key=lambda one: rows.get(one, {}).get("files", 0))
+        row = rows.setdefault(
+            name, {"name": name, "files": 0, "read": 0, "refused": 0, "faults": 0, "longest": 0.0, "most": 0.0}
+        )
+        if row["files"] >= wanted:
+            return
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            ways = files.setdefault(name, [])
+            ways += [] if ways else originals(name, folder / "originals" / name.replace(" ", "-"))
+        block = row["files"] // DAMAGED_AT_ONCE
+        path, toml = ways[block % len(ways)]
+        found = trial([path], folder / "damaged", count=DAMAGED_AT_ONCE, seed=block, channel_map=toml)
+        faults = [*found.faults, *(f"no place: {text}" for text in without_place(found.words))]
+        with (folder / "faults.txt").open("a", encoding="utf-8") as file:
+            file.writelines(f"{name}, {path}, block {block}: {text}\n" for text in faults)
+        row |= {key: row[key] + getattr(found, key) for key in ("read", "refused")}
+        row |= {"files": row["files"] + DAMAGED_AT_ONCE, "faults": row["faults"] + len(faults)}
+        row |= {key: max(row[key], getattr(found, key)) for key in ("longest", "most")}
+        (folder / "damaged.json").write_text(json.dumps(list(rows.values()), indent=1), encoding="utf-8")
+        save()
+
+
+def kept_rows(path: Path) -> dict[str, dict[str, Any]]:
+    """Rows that were measured before, by name."""
+    return {one["name"]: one for one in json.loads(path.read_text(encoding="utf-8"))} if path.exists() else {}
+
+
+DAMAGED_HEADS = (
+    "format",
+    "damaged files",
+    "read",
+    "refused",
+    "faults",
+    "longest: s",
+    "most memory: MB",
+)
+
+DAMAGED_HEAD = """
+## Damaged files
+
+Small files of every format, as this program and others write them, of which some bytes are changed, cut out or put
+in, mostly near either end. Each is looked at (as by `aerobalance map`) and read, in a process of its own for every
+{at_once} of them. A fault would be a traceback, a process that dies, more than 5 s of processor time, more than 1 GB
+of memory beside what the process had before, or a refusal that does not name the file and the place in it. Files are
+read where the damage leaves their meaning alone. Written by `python docs/formats.py --damaged 10000`.
+
+| {heads} |
+|---|---|---|---|---|---|---|
+"""
+
+
+def damaged_table(rows: list[dict[str, Any]]) -> str:
+    """Return the part of the page on damaged files."""
+    lines = []
+    for one in rows:
+        counts = [f"{one[key]:,}".replace(",", " ") for key in ("files", "read", "refused", "faults")]
+        cells = [one["name"], *counts, f"{one['longest']:.2g}", f"{one['most'] / 1e6:.0f}"]
+        lines.append(f"| {' | '.join(cells)} |")
+    head = DAMAGED_HEAD.format(at_once=DAMAGED_AT_ONCE, heads=" | ".join(DAMAGED_HEADS))
+    return head + "\n".join(lines) + "\n" if rows else ""
+
+
 def page(rows: list[dict[str, Any]], samples: int) -> str:
     """Return the page."""
     lines = []
@@ -408,16 +535,26 @@ def main() -> None:
     parser.add_argument("--samples", type=int, default=15_000_000)
     parser.add_argument("--folder", type=Path, default=HERE.parent / "build" / "formats")
     parser.add_argument("--page", type=Path, default=HERE / "formats.md")
+    parser.add_argument("--damaged", type=int)
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
-    kept = given.folder / "rows.json"
-    rows = {one["name"]: one for one in json.loads(kept.read_text(encoding="utf-8"))} if kept.exists() else {}
+    rows = kept_rows(given.folder / "rows.json")
+
+    def save() -> None:
+        damaged = kept_rows(given.folder / "damaged.json")
+        ordered = [rows[name] for name in FORMATS if name in rows]
+        text = page(ordered, given.samples) + damaged_table([damaged[name] for name in DAMAGED if name in damaged])
+        given.page.write_text(text, encoding="utf-8")
+
+    if given.damaged:
+        sys.path.insert(0, str(HERE.parent / "tests"))
+        damage(given.names or list(DAMAGED), given.damaged, given.folder, save)
+        return
     for name in given.names or FORMATS:
         rows[name] = row(name, given.samples, given.folder)
-        kept.write_text(json.dumps(list(rows.values()), indent=1), encoding="utf-8")
+        (given.folder / "rows.json").write_text(json.dumps(list(rows.values()), indent=1), encoding="utf-8")
         print(name, rows[name]["all"]["seconds"] / max(rows[name]["alone"]["seconds"], 1e-3), flush=True)
-    ordered = [rows[name] for name in FORMATS if name in rows]
-    given.page.write_text(page(ordered, given.samples), encoding="utf-8")
+        save()
 
 
 if __name__ == "__main__":

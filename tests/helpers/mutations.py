@@ -80,6 +80,11 @@ class Trial:
         self.words.append(said[-1])
 
 
+def without_place(words: list[str]) -> list[str]:
+    """Return the refusals of damaged files that do not say where in the file it is."""
+    return [text for text in words if text != "read" and ": is a damaged" in text and text.count(": ") < 3]
+
+
 def damaged(original: Path, folder: Path, rng: np.random.Generator) -> Path:
     """Write a copy of a file with some bytes changed, cut out or put in; of a folder, one of its files."""
     path = folder / original.name
