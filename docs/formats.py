@@ -395,7 +395,8 @@ def originals(name: str, folder: Path) -> list[tuple[Path, str]]:
     from helpers.foreign_files import FILES
     from helpers.text_exports import EXPORTS, completed
 
-    folder.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(folder, ignore_errors=True)
+    folder.mkdir(parents=True)
     found = []
     if name in FORMATS:
         file, _, _, write, _, _ = FORMATS[name]

@@ -510,6 +510,20 @@ def test_texts_longer_than_their_file_are_refused_before_the_library_takes_the_m
         read(path)
 
 
+def test_a_text_longer_than_its_file_is_seen_whatever_else_is_in_the_shape_of_its_attribute(tmp_path) -> None:
+    """A damaged file of 29 kB took 4 GB: five bytes of a shape have no meaning, and were thought to be zero."""
+    path = tmp_path / "a.h5"
+    with h5py.File(path, "w") as file:
+        file.create_dataset("AF", data=LOAD).attrs["fs"] = RATE
+        file["AF"].attrs["unit"] = "Newton"
+    content = bytearray(path.read_bytes())
+    place = content.index(b"\x06\0\0\0" + content.index(b"GCOL").to_bytes(8, "little"))
+    content[place - 2 : place + 6] = b"\1\2" + (10**9).to_bytes(4, "little") + b"\xff\xff"
+    path.write_bytes(content)
+    with pytest.raises(ReadError, match=rf"byte {place}: claims 1000000000 letters in a file of {len(content)} bytes"):
+        read(path)
+
+
 def test_names_whose_free_places_are_in_a_circle_are_refused_before_the_library_follows_them(tmp_path) -> None:
     path = tmp_path / "a.h5"
     with h5py.File(path, "w") as file:

@@ -7,6 +7,7 @@ Heap", of the names in a group: places without a name are a list of which each t
 
 from __future__ import annotations
 
+import math
 import mmap
 import re
 import struct
@@ -31,6 +32,10 @@ _LISTS: Final = b"\x19\x29\x39"
 """Beginnings of types of lists of any length, texts among them."""
 
 _REFERENCE: Final = 16
+_ATTRIBUTE_HEAD: Final = 8
+_LONGEST_NAME: Final = 264
+"""Bytes from the header of an attribute to its type, at most, that are looked at: a name of 255 letters."""
+
 _MOST_TEXTS: Final = 1024
 _HEAD: Final = 16
 _LOOKED_THROUGH: Final = 1 << 23
@@ -88,13 +93,42 @@ def _check_lengths(path: Path, view: mmap.mmap, span: tuple[int, int]) -> None:
         if outer < 0 or view[outer] not in _LISTS:
             continue
         # letters are characters (8 bytes tell it) or whole numbers of a byte (12, or 16 where that is a multiple of 8)
-        for place in (letters + 8, letters + 12, letters + 16):
-            for at in _texts_of_attribute(view, place):
+        known = _texts_behind_header(view, outer)
+        guessed = (_texts_of_attribute(view, place) for place in (letters + 8, letters + 12, letters + 16))
+        for places in guessed if known is None else [known]:
+            for at in places:
                 (length,) = struct.unpack_from("<I", view, at)
                 if length > len(view):
                     raise ReadError(
                         path, f"byte {at}", f"claims {length} letters in a file of {len(view)} bytes: it is damaged"
                     )
+
+
+def _texts_behind_header(view: mmap.mmap, kind: int) -> range | None:
+    """Places of the first texts of the attribute whose type is at a place; None where no attribute is.
+
+    Its header says how long its name, its type and its shape are (versions 1 and 2; version 3 has one byte more): the
+    library goes by that, whatever else is in the shape.
+    """
+    for back in range(_ATTRIBUTE_HEAD, min(kind, _LONGEST_NAME) + 1):
+        head = kind - back
+        version = view[head]
+        if version not in (1, 2, 3):
+            continue
+        name, length, shape = struct.unpack_from("<HHH", view, head + 2)
+        padded = 8 if version == 1 else 1
+        extra = _ATTRIBUTE_HEAD + (version == 3)
+        if not name or extra + name + -name % padded != back or not 16 <= length <= 24 or not 4 <= shape <= 1024:
+            continue
+        place = kind + length + -length % padded
+        begin = place + shape + -shape % padded
+        if begin + 4 > len(view):
+            return range(0)
+        at = place + (8 if view[place] == 1 else 4)
+        rank = view[place + 1]
+        count = math.prod(struct.unpack_from(f"<{rank}Q", view, at)) if at + 8 * rank <= begin else _MOST_TEXTS
+        return range(begin, min(begin + _REFERENCE * min(count, _MOST_TEXTS), len(view) - 4), _REFERENCE)
+    return None
 
 
 def _texts_of_attribute(view: mmap.mmap, place: int) -> range:
