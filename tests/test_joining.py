@@ -74,13 +74,49 @@ def pair(rng, *, fast=5000.0, slow=1600.0, noise=0.0, drift=DRIFT, offset=OFFSET
 def test_offset_and_drift_are_found_within_their_uncertainty(rng, way) -> None:
     first, second, _ = pair(rng, noise=0.05)
     found = align(first, second, way=way)
-    # a count of 1 us is known to 0.29 of it in either file; an edge may be anywhere in its sample
-    assert found.u_offset < {"tick": 5e-7, "trigger": 2e-4, "correlation": 2e-5}[way]
-    assert found.u_drift < {"tick": 1e-8, "trigger": 3e-5, "correlation": 3e-6}[way]
+    # an edge may be anywhere in its sample. A count of 1 us is known to 0.29 of it in either file; the first counts
+    # 200 from sample to sample, so that a drift of 1.5 counts over its length is not seen: 1.5e-6 / 12 / sqrt(3),
+    # by which the offset is off as well, six seconds from the middle
+    assert found.u_offset < {"tick": 6e-7, "trigger": 2e-4, "correlation": 2e-5}[way]
+    assert found.u_drift < {"tick": 7.5e-8, "trigger": 3e-5, "correlation": 3e-6}[way]
     assert abs(found.offset - OFFSET) < 5 * found.u_offset
     assert abs(found.drift - DRIFT) < 5 * found.u_drift
     # a second of its own is a longer one of the other where it is slow
     assert f"its clock is {'slow' if DRIFT > 0 else 'fast'} by {1e6 * abs(found.drift):.3f} ppm" in found.told()
+
+
+@pytest.mark.parametrize(
+    ("counts", "last", "sharp"),
+    [
+        (1000.0, 1.0, False),  # as many counts as samples: rounding follows the drift and tilts the line as a whole
+        (1500.0, 1.0, False),
+        (10_000.0, 10.0, False),  # the last digit of the counter is always the same
+        (1.0, 0.001, False),  # a time in s, rounded to ms
+        (10.0, 1.0, False),
+        (1234.567, 1.0, True),  # samples fall anywhere within a count: 1 / sqrt(12) of it, independent of each other
+    ],
+)
+def test_the_drift_by_a_coarse_counter_lies_within_its_uncertainty(rng, counts, last, sharp) -> None:
+    """Counters of two clocks, each rounded down, against drift and offset that are known; ten seconds at 1 kHz."""
+    own, z, told = np.arange(10_000) / 1000, [], []
+    for _ in range(60):
+        drifts, begins = rng.uniform(-5e-5, 5e-5, 2), rng.uniform(5, 15, 2)
+        records = [
+            Recording.from_columns(
+                own, {"tick": Channel("tick", last * np.floor(counts / last * (begin + own * (1 + drift))), "1")}
+            )
+            for drift, begin in zip(drifts, begins, strict=True)
+        ]
+        found = align(*records, way="tick")
+        drift = (1 + drifts[1]) / (1 + drifts[0]) - 1
+        offset = (begins[1] - begins[0]) / (1 + drifts[0])
+        z.append([(found.drift - drift) / found.u_drift, (found.offset - offset) / found.u_offset])
+        told.append(found.u_drift)
+    # what is off has bounds of some 1.7 of its uncertainties; of 60 a mean square is known to sqrt(2 / 60)
+    assert np.abs(z).max() < 3
+    assert np.sqrt(np.mean(np.square(z), axis=0)).max() < 1 + 3 * np.sqrt(1 / 120)
+    if sharp:  # 10 000 readings over 10 s, in either record: no more than twice that is stated
+        assert np.median(told) < 2 * np.sqrt(2) * np.sqrt(1 / 12) / counts / 10 / np.sqrt(10_000 / 12)
 
 
 @pytest.mark.soak(first=0)

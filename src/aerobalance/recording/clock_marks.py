@@ -2,13 +2,27 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 
 from aerobalance.recording.channel import Array
 from aerobalance.recording.clock_pair import Alignment, ClockLine, Pair, fitted_line
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import interpolate_gaps_linearly
+
+_DIGITS: Final = 10
+"""Digits behind the decimal point up to which a reading counts as rounded."""
+
+_LARGEST: Final = 2.0**52
+_ROUNDING: Final = 1e-3
+"""Of the last digit, up to which a reading may differ from a rounded one."""
+
+_HARMONICS: Final = 10_000
+"""Harmonics of the error of rounding that are looked at one by one."""
 
 
 def by_ticks(pair: Pair) -> Alignment:
@@ -19,21 +33,98 @@ def by_ticks(pair: Pair) -> Alignment:
         ticks, times = channel.values[there], recording.time[there]
         if ticks.size < 3 or (np.diff(ticks) < 0).any() or ticks[-1] == ticks[0]:
             raise FitError(f"{recording.name}: {pair.by} is no counter: it must never go back, and must count on")
-        middle = float(times.mean())
-        far = times - middle
-        slope, level = float(far @ (ticks - ticks.mean()) / (far @ far)), float(ticks.mean())
-        left = ticks - level - slope * far
-        scatter = float(np.sqrt(left @ left / ticks.size))
-        # of a whole number it is not known where within a count it was read, and that may be so in all samples
-        within = 1 / np.sqrt(12) if (ticks == np.rint(ticks)).all() else 0.0
-        u_level = float(np.hypot(scatter / np.sqrt(ticks.size), within))
-        lines.append((middle, level, slope, u_level, max(scatter, within) / float(np.sqrt(far @ far))))
+        lines.append(_counted(np.flatnonzero(there), times, ticks))
         points += ticks.size
-    (m1, l1, s1, u1, d1), (m2, l2, s2, u2, d2) = lines
+    one, two = lines
     line = ClockLine(
-        m2, m1 + (l2 - l1) / s1, s2 / s1, float(np.hypot(u1, u2)) / s1, float(np.hypot(d1 / s1, d2 / s2)) * s2 / s1
+        two.middle,
+        one.middle + (two.level - one.level) / one.slope,
+        two.slope / one.slope,
+        float(np.hypot(one.u_level, two.u_level)) / one.slope,
+        float(np.hypot(one.u_slope / one.slope, two.u_slope / two.slope)) * two.slope / one.slope,
     )
     return pair.found("tick", line, points)
+
+
+def _counted(places: NDArray[np.intp], times: Array, ticks: Array) -> ClockLine:
+    """Fit a line to the readings of a counter, of which it is not known where within a count each was taken.
+
+    Parameters
+    ----------
+    places
+        Samples of the steady clock that were read, shape (m,).
+    times
+        Their times [s], shape (m,).
+    ticks
+        The readings, shape (m,) [counts].
+    """
+    middle = float(times.mean())
+    far = times - middle
+    slope, level = float(far @ (ticks - ticks.mean()) / (far @ far)), float(ticks.mean())
+    left = ticks - level - slope * far
+    count = _one_count(ticks)
+    within = count / float(np.sqrt(12))
+    # where within a count it was read may be the same in all samples
+    u_level = float(np.hypot(np.sqrt(left @ left) / ticks.size, within))
+    random = float(max(np.sqrt(left @ left / ticks.size), within) / np.sqrt(far @ far))
+    interval = float(times[-1] - times[0]) / float(places[-1] - places[0])
+    rounded = _slope_of_rounding(places - places[0], far, slope * interval / count) * count if count else 0.0
+    return ClockLine(middle, level, slope, u_level, float(np.hypot(random, rounded)))
+
+
+def _one_count(ticks: Array) -> float:
+    """Return the largest step that all readings of a counter are multiples of apart; 0 where they are not rounded."""
+    for digits in range(_DIGITS):
+        scaled = ticks * 10.0**digits
+        if not np.abs(scaled).max() < _LARGEST:
+            break
+        whole = np.rint(scaled)
+        if (np.abs(scaled - whole) < _ROUNDING).all():
+            return float(np.gcd.reduce(np.diff(whole).astype(np.int64))) / 10.0**digits
+    return 0.0
+
+
+def _slope_of_rounding(places: NDArray[np.intp], far: Array, step: float) -> float:
+    """Standard uncertainty of a fitted slope by the rounding of the readings, over one count [1/s].
+
+    From sample to sample the rounding error goes through a count as often as the counter does, so it is a sawtooth:
+    its harmonic k has the amplitude 1 / (pi k) and runs at k times the counts of a sample, of which only what is
+    beyond the nearest whole number shows. A slow one tilts the line as a whole, however many samples there are. Where
+    within a count the first sample was read is not known: uniformly distributed, so that the harmonics add up by their
+    squares.
+
+    Parameters
+    ----------
+    places
+        Samples that were read, counted from the first, shape (m,).
+    far
+        Their times from the middle [s], shape (m,).
+    step
+        Counts from sample to sample.
+    """
+    span = int(places[-1]) + 1
+    length = next_fast_len(4 * span, real=True)
+    weights = np.zeros(span)
+    weights[places] = far
+    tilt = np.abs(np.fft.rfft(weights, length)) / float(far @ far)
+    tilt = np.maximum.accumulate(tilt[::-1])[::-1]  # by a wave as slow as this, or faster
+    harmonics = np.arange(1, min(span, _HARMONICS) + 1)
+    sizes = (1 / (np.pi * harmonics)) ** 2 / 2
+    beyond = np.abs(harmonics * step - np.rint(harmonics * step))  # from 0 to a half
+    off = 1.5 / span  # of the step, by errors of half a count that add up as badly as they can
+    found = np.inf
+    while True:
+        slowest = np.maximum(beyond - off * harmonics, 0)
+        tilts = tilt[np.minimum((slowest * length).astype(np.intp), tilt.size - 1)]
+        last, found = found, float(np.sqrt(sizes @ tilts**2 + tilt[0] ** 2 * _rest(harmonics.size)))
+        if not found < 0.9 * last:
+            return min(found, last)
+        off = min(off, 3 * found * float(far[-1] - far[0]) / max(span - 1, 1))
+
+
+def _rest(harmonics: int) -> float:
+    """Mean square of a sawtooth of one count without its first harmonics: what 1 / (2 pi^2 k^2) adds up to beyond."""
+    return 1 / (2 * np.pi**2 * harmonics)
 
 
 def edges(recording: Recording, name: str) -> Array:
