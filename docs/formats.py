@@ -385,7 +385,7 @@ def row(name: str, samples: int, folder: Path) -> dict[str, Any]:
     return found
 
 
-DAMAGED_AT_ONCE = 200
+DAMAGED_AT_ONCE = 1000
 """Damaged copies of one file that are read by one process."""
 
 
