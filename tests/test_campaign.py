@@ -13,6 +13,7 @@ import time
 from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import replace
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
@@ -32,7 +33,7 @@ from aerobalance.app.campaign import work
 from aerobalance.app.campaign.assignment import Run
 from aerobalance.app.campaign.campaign import Campaign, Prepared, planned, prepared, reduce_runs
 from aerobalance.app.campaign.definition import definition_from
-from aerobalance.app.campaign.engine import Engine
+from aerobalance.app.campaign.engine import Engine, _has_dashboard
 from aerobalance.app.campaign.places import fingerprint
 from aerobalance.app.campaign.reduction import RunSettings
 from aerobalance.app.campaign.results import Results
@@ -345,6 +346,7 @@ def test_any_scheduler_does_the_same_and_may_lose_workers_and_be_started_anew(tm
     assert json.loads(out)["reduced"] == 5
     assert f"the scheduler {address} is gone" in err
     assert "Traceback" not in err
+    assert "dashboard" not in err  # there is none
     table = pq.read_table(tmp_path / "out" / "summary.parquet")
     without = [name for name in table.column_names if name != "report"]
     assert table.select(without).equals(pq.read_table(tmp_path / "serial" / "summary.parquet").select(without))
@@ -498,3 +500,49 @@ def test_a_run_that_can_no_longer_be_assigned_is_worked_on_again(tmp_path):
     )
     other = replace(one, run=replace(one.run, fault="there is no zero that agrees in polar"))
     assert one.key != other.key
+
+
+def test_coefficients_that_lack_their_components_are_told_with_them(tmp_path, rng, capsys):
+    """A balance of one component has no coefficient but CAF, and CD at an angle of zero."""
+    _, dynamics = axial_folder(tmp_path, rng, count=2)
+    test = tmp_path / "test.toml"
+    test.write_text(
+        f"[runs]\nfiles = 'runs/*.h5'\n[[setups]]\ndynamics = '{dynamics}'\n[angles]\n"
+        "[reference]\narea = 0.1\nchord = 0.2\nspan = 0.5\n[pressure]\nvalue = 1000.0\n",
+        encoding="utf-8",
+    )
+    assert main(["campaign", str(test), "-o", str(tmp_path / "out"), "--workers", "0", "--json"]) == 0
+    answer = capsys.readouterr()
+    (flag,) = [one for one in json.loads(answer.out)["flags"] if one["kind"] == "not measured"]
+    assert flag["runs"] == ["run_1", "run_2"]
+    assert flag["text"].startswith("coefficients of all runs are empty for want of components: CNF CL need NF; CPM")
+    assert "not measured: coefficients of all runs are empty" in answer.err
+    assert "CAF" not in flag["text"]
+    assert "CD" not in flag["text"]
+    rows = pq.read_table(tmp_path / "out" / "summary.parquet").to_pylist()
+    assert all(row["CL"] is None and row["CD"] is not None and "CL: NF" in row["lacking"] for row in rows)
+    assert "Coefficients without their components" in (tmp_path / "out" / "summary.html").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("status", "answer", "there"),
+    [(200, b'{"Individual Workers": "/individual-workers"}', True), (200, b"{}", False), (404, b"none", False)],
+)
+def test_a_dashboard_is_told_where_there_is_one(status, answer, there):
+    class Answers(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            self.send_response(status if self.path == "/individual-plots.json" else 404)
+            self.end_headers()
+            self.wfile.write(answer)
+
+        def log_message(self, *_: object) -> None:
+            pass
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Answers) as server:
+        serving = threading.Thread(target=server.serve_forever)
+        serving.start()
+        link = f"http://127.0.0.1:{server.server_port}/status"
+        assert _has_dashboard(link) == there
+        server.shutdown()
+        serving.join()
+    assert not _has_dashboard(link)  # nobody answers

@@ -89,6 +89,8 @@ class MeanInAxes:
         Their covariance.
     freedom
         Degrees of freedom of each standard uncertainty, shape (6,), by Welch and Satterthwaite.
+    lacking
+        Components that were not measured, of each result that takes them, by its name.
     """
 
     names: tuple[str, ...]
@@ -96,6 +98,7 @@ class MeanInAxes:
     values: Array
     errors: Errors
     freedom: Array
+    lacking: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
 
 Step = Callable[[ResolvedLoads, str], ResolvedLoads]
@@ -190,14 +193,20 @@ def _through(mean: MeanLoads, names: tuple[str, ...], units: tuple[str, ...], st
         covariance = np.zeros((1, 6, 6))
         covariance[0][np.ix_(place, place)] = part
         found[kind] = step(ResolvedLoads(values, covariance), kind)
-    lacking = [row for row in range(6) if row not in place]
-    unknown = np.zeros(6, dtype=bool)
-    if lacking:
+    absent = [row for row in range(6) if row not in place]
+    lacking: dict[str, tuple[str, ...]] = {}
+    if absent:
         none = np.zeros((6, 6, 6))
         shares = np.abs(step(ResolvedLoads(np.eye(6), none), "scatter").values)  # row i: what component i alone makes
-        unknown = (shares[lacking] > EXACT * shares.max()).any(axis=0)
+        taken = shares > EXACT * shares.max()
+        lacking = {
+            name: tuple(COMPONENTS[row] for row in absent if taken[row, column])
+            for column, name in enumerate(names)
+            if taken[absent, column].any()
+        }
+    unknown = np.array([name in lacking for name in names])
     result = np.where(unknown, np.nan, found["common"].values[0])
     errors = Errors(**{kind: one.covariance[0] for kind, one in found.items()})
     whole, scatter = np.diag(errors.whole), np.diag(errors.scatter)
     share = np.where(whole > 0, scatter / np.where(whole > 0, whole, 1.0), 0.0)
-    return MeanInAxes(names, units, result, errors, mean.freedom / np.maximum(share, 1e-3) ** 2)
+    return MeanInAxes(names, units, result, errors, mean.freedom / np.maximum(share, 1e-3) ** 2, lacking)

@@ -27,7 +27,7 @@ NO_RECORDINGS: Final = frozenset({".json", ".toml", ".html", ".md", ".pdf", ".py
 """Endings of files that are no runs where a folder is given."""
 
 OF_RESULTS: Final = re.compile(
-    "run_name|place|setup|(zero|tare)_from|(balance|dynamics)_file|status|reason|verdict|doubts|doubt_kinds|warnings|report"
+    "run_name|place|setup|(zero|tare)_from|(balance|dynamics)_file|status|reason|verdict|doubts|doubt_kinds|warnings|report|lacking"
     "|duration_s|rate_Hz|samples|alpha_deg|beta_deg|pressure_Pa|steps_.*|resolved_to_.*|natural_frequency_.*"
     "|((u|u_run|u_zero|u_tare|dof)_)?(C(NF|PM|SF|YM|RM|AF|L|D|Y)|C[PYR]M_wind"
     "|(balance|body|wind|rms|largest|largest_step|least|sample|zero|zero_drift)_.*_(N|Nm)|[kb]_change_.*)"

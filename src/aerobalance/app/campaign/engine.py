@@ -6,6 +6,7 @@ folder of results before a task is over: a scheduler that is started anew is giv
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import sys
@@ -15,6 +16,8 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Final
+from urllib.parse import urljoin
+from urllib.request import ProxyHandler, build_opener
 
 from aerobalance.app.campaign.places import MissingLibraryError
 from aerobalance.app.campaign.results import Results
@@ -41,6 +44,12 @@ PATIENCE: Final = 120.0
 
 ANSWER: Final = 10.0
 """How long the first answer of a scheduler is waited for [s]."""
+
+ASKED: Final = 2.0
+"""How long a scheduler is waited for that is asked for its dashboard [s]."""
+
+LONGEST_ANSWER: Final = 1 << 16
+"""Bytes of the answer to that which are read."""
 
 FEW: Final = 8
 """Runs up to which no processes are started for them: two processes take as long to start as five short runs take."""
@@ -179,9 +188,10 @@ class Engine:
 
     def _tell_dashboard(self, client: Client) -> None:
         services = client.scheduler_info().get("services", {})
-        there = self.scheduler is not None or find_spec("bokeh") is not None  # without it there is a page that says so
-        if there and "dashboard" in services and client.dashboard_link:
-            self.told(f"dashboard: {client.dashboard_link}")
+        link = client.dashboard_link if "dashboard" in services else ""
+        there = find_spec("bokeh") is not None if self.scheduler is None else bool(link) and _has_dashboard(link)
+        if there and link:
+            self.told(f"dashboard: {link}")
 
     def _done_by(
         self, client: Client, left: dict[str, RunWork], report: Report | None
@@ -238,6 +248,14 @@ def _row_of(future: Any, task: RunWork) -> Row | None:
     if isinstance(problem, Exception):
         raise problem
     return None
+
+
+def _has_dashboard(link: str) -> bool:
+    """Return whether there is a dashboard at a link: a scheduler without one has a link and serves other pages."""
+    own = ProxyHandler({})  # the machines of a test are in one network
+    with suppress(Exception), build_opener(own).open(urljoin(link, "/individual-plots.json"), timeout=ASKED) as page:
+        return bool(json.loads(page.read(LONGEST_ANSWER)))
+    return False
 
 
 def _need_dask() -> None:

@@ -69,8 +69,8 @@ class Flag:
     Attributes
     ----------
     kind
-        ``"set aside"``, ``"zero drift"``, ``"set-up change"``, ``"outlier"``, ``"scatter"``, ``"stiffness"``,
-        ``"damping"`` or ``"not usable"``.
+        ``"set aside"``, ``"not measured"``, ``"zero drift"``, ``"set-up change"``, ``"outlier"``, ``"scatter"``,
+        ``"stiffness"``, ``"damping"`` or ``"not usable"``.
     text
         What it is.
     runs
@@ -141,6 +141,7 @@ def quality_of(rows: Sequence[Mapping[str, Any]], rules: Repeats) -> CampaignQua
     ]
     flags = [
         *_not_reduced(rows),
+        *_not_measured(rows),
         *_set_up_changes(rows),
         *_zeros(good),
         *_outliers(names, [group for _, group in groups]),
@@ -243,6 +244,25 @@ def _not_reduced(rows: Sequence[Mapping[str, Any]]) -> list[Flag]:
     return flags + [
         Flag("not usable", f"{row['run_name']}: {'; '.join(row['doubts'][:1])}", (row["run_name"],)) for row in spoiled
     ]
+
+
+def _not_measured(rows: Sequence[Mapping[str, Any]]) -> list[Flag]:
+    """Coefficients that are empty, and the components that they would take."""
+    found: dict[tuple[str, ...], list[str]] = {}
+    for row in rows:
+        if row.get("lacking"):
+            found.setdefault(tuple(row["lacking"]), []).append(row["run_name"])
+    flags = []
+    for texts, runs in found.items():
+        names: dict[str, list[str]] = {}
+        for text in texts:
+            name, _, components = text.partition(": ")
+            names.setdefault(components, []).append(name)
+        said = "; ".join(f"{' '.join(these)} need{'s'[: len(these) == 1]} {which}" for which, these in names.items())
+        of = "all runs" if len(runs) == len(rows) else f"{len(runs)} of {len(rows)} runs"
+        text = f"coefficients of {of} are empty for want of components: {said}"
+        flags.append(Flag("not measured", text, tuple(runs)))
+    return flags
 
 
 def _set_up_changes(rows: Sequence[Mapping[str, Any]]) -> list[Flag]:

@@ -77,6 +77,9 @@ def row_of(run: Run, found: ReducedRun, warnings: Sequence[str]) -> Row:
         row[f"resolved_to_{name}_Hz"] = part.bandwidth
     for axes, one in found.axes.items():
         row |= _in_axes(axes, one)
+    lacking = [one.lacking for axes, one in found.axes.items() if axes.startswith("C_")]
+    if any(lacking):
+        row["lacking"] = [f"{name}: {', '.join(parts)}" for one in lacking for name, parts in one.items()]
     for mode in found.resonances:
         row |= _resonance(mode.name.replace(" ", "_"), mode.natural_frequency, mode.stiffness, mode.damping)
     for level in found.zero:

@@ -24,6 +24,7 @@ from aerobalance.recording.version import VERSION
 HEADINGS: Final[Mapping[str, str]] = {
     "set aside": "Set aside",
     "not usable": "Not usable",
+    "not measured": "Coefficients without their components",
     "zero drift": "Zeros that drifted",
     "set-up change": "Changes of the set-up",
     "outlier": "Outliers among repeats",
