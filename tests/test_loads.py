@@ -351,7 +351,7 @@ def test_a_tare_is_known_as_well_as_the_mean_of_what_sways(balance: BalanceMatri
     for _ in range(count):
         sway = lfilter([1], [1, -0.95], rng.normal(0, NOISE, (samples + 200, 6)), axis=0)[200:]
         sway[::7, 2] = np.nan  # what is missing is in no mean
-        value, u = wind_off_loads(run, [recorded(sway)], balance, zero=NONE)
+        value, u, *_ = wind_off_loads(run, [recorded(sway)], balance, zero=NONE)
         tares.append(value[0])
         us.append(u[0])
     stated = np.sqrt(np.mean(np.square(us), axis=0))
@@ -369,12 +369,12 @@ def test_tares_before_and_after_a_run_at_its_pitch_count_by_their_mean(balance: 
         return recorded(outputs, extra={"pitch": ("rad", np.full(200, np.radians(degrees)))})
 
     run = recorded(np.zeros((300, 6)), extra={"pitch": ("rad", pitch)})
-    value, u = wind_off_loads(run, [at(0.01, 10.0), at(-0.01, 20.0)], balance, zero=NONE)
+    value, u, *_ = wind_off_loads(run, [at(0.01, 10.0), at(-0.01, 20.0)], balance, zero=NONE)
     # half of what two differ by, as above
     assert np.allclose(value[:, 5], 15.0, atol=1e-3)
     assert np.allclose(u[:, 5], 5.0, atol=1e-3)
     # at 0 deg their mean, and from there the line to the next
-    value, u = wind_off_loads(
+    value, u, *_ = wind_off_loads(
         run, [at(0.01, 10.0), at(5.0, 45.0), at(-0.01, 20.0), at(-5.0, 45.0)], balance, zero=NONE
     )
     assert np.allclose(value[:, 5], 15.0 + 30.0 * np.abs(np.degrees(pitch)) / 5, atol=1e-3)
@@ -386,7 +386,7 @@ def test_tares_of_unknown_attitude_count_by_what_they_differ_by(balance: Balance
         recorded(balance.outputs(np.tile([0, 0, 0, 0, 0, force], (200, 1))) + rng.normal(0, 1e-6, (200, 6)))
         for force in (10.0, 20.0)
     ]
-    value, u = wind_off_loads(recorded(np.zeros((50, 6))), off, balance, zero=NONE)
+    value, u, *_ = wind_off_loads(recorded(np.zeros((50, 6))), off, balance, zero=NONE)
     # half of what two differ by; noise of 1e-6 mV/V is some 1e-4 N
     assert value[0, 5] == pytest.approx(15.0, abs=1e-3)
     assert u[0, 5] == pytest.approx(5.0, abs=1e-3)
@@ -604,9 +604,9 @@ def test_tares_are_taken_off_in_the_form_that_is_asked_for(seed: int) -> None:
     plain = replace(random_balance(seed), geometry=None)
     native = swinging(50, np.random.default_rng(seed))
     still = np.tile(0.1 * CAPACITIES, (50, 1))
-    off, u = wind_off_loads(recorded(native), [recorded(plain.outputs(still))], plain, zero=NONE, form="force")
-    np.testing.assert_allclose(off[0], still[0], rtol=1e-6)
-    felt = loads_of_outputs(recorded(plain.outputs(native + still)), plain, zero=NONE, tare=(off, u), form="force")
+    off = wind_off_loads(recorded(native), [recorded(plain.outputs(still))], plain, zero=NONE, form="force")
+    np.testing.assert_allclose(off.values[0], still[0], rtol=1e-6)
+    felt = loads_of_outputs(recorded(plain.outputs(native + still)), plain, zero=NONE, tare=off, form="force")
     np.testing.assert_allclose(felt.values, native, atol=1e-6 * np.abs(native).max())
 
 
@@ -642,7 +642,7 @@ def test_one_wind_off_recording_serves_a_run_at_its_pitch(balance: BalanceMatrix
     outputs = balance.outputs(still) + rng.normal(0, NOISE, (400, 6))
     off = recorded(outputs, extra={"pitch": ("rad", pitch)}, name="off")
     run = recorded(balance.outputs(still), extra={"pitch": ("rad", pitch)})
-    tare, u = wind_off_loads(run, [off], balance, zero=NONE)
+    tare, u, *_ = wind_off_loads(run, [off], balance, zero=NONE)
     assert tare.shape == u.shape == (1, 6)
     # u is the noise over the root of 400 readings, itself 2 to 5 % low (see above); five of it
     assert (np.abs(tare[0] - in_direct(balance, still)[0]) < 5.5 * u[0]).all()

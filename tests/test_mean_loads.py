@@ -163,17 +163,72 @@ def test_the_noise_of_a_tare_is_apart_from_what_all_runs_share(rng, seed):
     place = [COMPONENTS.index(name) for name in dynamics.components]
     repeats = trials(30, 200)
     drawn = [loads(100) for _ in range(repeats)]
-    stated = np.mean([one.of_tare[place] for one in drawn], axis=0)
+    stated = np.mean([np.diag(one.of_tare)[place] for one in drawn], axis=0)
     measured = np.var([one.values[:, place].mean(axis=0) for one in drawn], axis=0, ddof=1)
     # variances with 29 degrees of freedom; what is stated has 19 for each of the 30
     np.testing.assert_allclose(measured / stated, 1.0, atol=4 * np.sqrt(2 / (repeats - 1)))
     short, long = (
         mean_loads(estimate_force(one, dynamics, method="paper")).errors for one in (drawn[0], loads(10_000))
     )
-    np.testing.assert_allclose(short.of_tare(), np.sqrt(drawn[0].of_tare[place]), rtol=1e-12)
+    np.testing.assert_allclose(short.of_tare(), np.sqrt(np.diag(drawn[0].of_tare)[place]), rtol=1e-12)
     assert (long.of_tare() < 0.3 * short.of_tare()).all()  # 0.1, known to 20 %
     # with a tare that is known much better nothing else changes
     np.testing.assert_allclose(np.diag(long.common), np.diag(short.common), rtol=1e-2)
+
+
+def at_rest(rng, balance, name, count, *, sway=0.0, offset=0.0):
+    """Outputs of a balance at rest with a white noise of 2e-4 mV/V, and a sway that all bridges feel alike."""
+    names = [f"r{gauge}" for gauge in balance.gauges]
+    table = offset + rng.normal(0, 2e-4, (count, 6)) + sway * rng.normal(size=(count, 1))
+    channels = {one: Channel(one, column, "mV/V") for one, column in zip(names, table.T, strict=True)}
+    return Recording.from_columns(np.arange(count) / 1000.0, channels, name=name)
+
+
+@pytest.mark.parametrize("pitched", [False, True])
+def test_components_of_a_tare_err_together_as_its_readings_do(rng, seed, pitched):
+    balance = replace(random_balance(seed), natural_zero=None)
+    run, zero = at_rest(rng, balance, "run", 400), Zero(at_rest(rng, balance, "zero", 400), model_on=False)
+
+    def at_pitch(given, pitch):
+        if not pitched:
+            return given
+        channels = {**given.channels, "pitch": Channel("pitch", np.full(given.samples, pitch), "rad")}
+        return replace(given, channels=channels)
+
+    def loads():
+        tares = [at_pitch(at_rest(rng, balance, "tare", 200, sway=1e-3), pitch) for pitch in (0.0, 0.1)]
+        return reduce_outputs(at_pitch(run, 0.05), balance, zero=zero, tare=tares)
+
+    repeats = trials(40, 200)
+    drawn = [loads() for _ in range(repeats)]
+    size = np.sqrt(np.mean([np.diag(one.of_tare) for one in drawn], axis=0))
+    stated = np.mean([one.of_tare for one in drawn], axis=0) / np.outer(size, size)
+    measured = np.cov([one.values.mean(axis=0) for one in drawn], rowvar=False) / np.outer(size, size)
+    # at the middle of two pitch angles both count as if they erred alike: variances are twice what they are
+    measured *= 2 if pitched else 1
+    assert np.abs(stated - np.eye(6)).max() > 0.9  # sway is five times the noise
+    np.testing.assert_allclose(measured, stated, atol=5 * np.sqrt(2 / (repeats - 1)))
+
+
+def test_an_error_of_the_zero_that_a_tare_takes_off_with_it_is_not_counted(rng, seed):
+    """Loads of a run less those of a tare, from zeros that are read anew: what is left of their errors is nothing."""
+    balance = replace(random_balance(seed), natural_zero=None)
+    run, tare = (at_rest(rng, balance, name, 400) for name in ("run", "tare"))
+    dynamics = dynamics_of([Dynamics(name, 1.0, 1e6, 20.0) for name in ("AF", "NF")])
+
+    def loads(**tares):
+        zero = Zero(at_rest(rng, balance, "zero", 100), model_on=False)
+        return reduce_outputs(run, balance, zero=zero, model=dynamics, **tares)
+
+    with_tare, without = ([loads(**given) for _ in range(20)] for given in ({"tare": [tare]}, {}))
+    moved = [np.std([one.values.mean(axis=0) for one in drawn], axis=0, ddof=1) for drawn in (with_tare, without)]
+    assert (moved[0] < 0.02 * moved[1]).all()  # what the matrix changes by between loads as small as noise
+    errors = [mean_loads(estimate_force(one[0], dynamics, method="paper")).errors for one in (with_tare, without)]
+    assert (errors[0].of_zero() < 1e-3 * errors[1].of_zero()).all()
+    place = [without[0].components.index(name) for name in dynamics.components]
+    # of 20 batches, and of as many draws: each known to 16 %
+    np.testing.assert_allclose(errors[1].of_zero(), moved[1][place], rtol=4 * np.hypot(0.16, 0.16))
+    assert (with_tare[0].apart < without[0].apart).all()
 
 
 def test_a_body_that_is_turned_in_its_balance_has_its_own_angles():

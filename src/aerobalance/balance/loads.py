@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -34,6 +34,26 @@ SPREAD: Final = 1 << 16
 """Samples, spread over a record, from which its median load is found."""
 
 
+class Tare(NamedTuple):
+    """Loads to take off: weight by a weighing, or those without wind.
+
+    Attributes
+    ----------
+    values, u
+        In the components of the loads that they are taken off, and their standard uncertainty, shape (n, c) or, where
+        they are constant, (1, c) [N, N*m].
+    correlation
+        Of the errors of components, the mean over the samples, shape (c, c); of the same readings all have theirs.
+    from_zero
+        Whether they count from the zero that the loads do, so that its error is in neither.
+    """
+
+    values: Array
+    u: Array
+    correlation: Array
+    from_zero: bool = False
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Loads:
     """Balance loads, with all that is known of their errors: n samples, c components.
@@ -52,8 +72,11 @@ class Loads:
         Variance of every sample from zeros, tares, gains of the bridges and what temperature does to them
         [N^2, N^2*m^2], shape (n, c) or, the same for all, (1, c).
     of_tare
-        Mean over the samples of what of it is from tares, shape (c,) [N^2, N^2*m^2]; runs with other tares do not
-        share it.
+        Covariance of the components by tares, the mean over the samples, shape (c, c) [N^2, N^2*m, N^2*m^2]; runs with
+        other tares do not share it.
+    of_zero
+        Variance of the outputs by their zeros, shape (c,) [(mV/V)^2]; where a tare counts from the same zero, only by
+        how that moved meanwhile.
     native
         Loads in the balance's own components, tares not removed, shape (n, c) [N, N*m].
     beyond
@@ -81,6 +104,7 @@ class Loads:
     noise_covariance: Array
     apart: Array
     of_tare: Array
+    of_zero: Array
     native: Array
     beyond: Mapping[str, int]
     contraction: float
@@ -214,7 +238,7 @@ def loads_of_outputs(
     balance: BalanceMatrix,
     *,
     zero: GaugeZero | None = None,
-    tare: tuple[Array, Array] | None = None,
+    tare: Tare | None = None,
     form: Form | None = None,
 ) -> Loads:
     """Balance loads [N, N*m] from gauge outputs, Eq. (2) of [Gorbushin2020]_.
@@ -229,8 +253,7 @@ def loads_of_outputs(
         Gauge zeros, which say whether the model hung on the balance meanwhile; those of the calibration where left
         out.
     tare
-        Loads to take off, shape (n, 6) or (1, 6) in the components of the result, and their standard uncertainty:
-        weight by `weighing`, or wind-off loads.
+        Loads to take off, in the components of the result: weight by `weighing`, or wind-off loads.
     form
         Form of the result; direct-read, where that is possible, if left out.
 
@@ -283,13 +306,17 @@ def loads_of_outputs(
     slope = T @ middle
     scatter = np.sqrt(np.maximum(np.diag(slope @ np.diag(noise**2) @ slope.T), 0.0))
     values = native @ T.T if zero.operating_point is None else (native - zero.operating_point) @ T.T
-    apart = _apart(native, zero, channels, slope=slope, transform=T)
+    # an error of the zero is as large in a tare that counts from it, but for how the matrix changes with the load
+    of_zero = zero.drift**2 / 12 + (0.0 if tare is not None and tare.from_zero else zero.u**2)
+    apart = _apart(native, of_zero, channels, slope=slope, transform=T)
     if of_temperature is not None:
         apart = apart + of_temperature @ (slope**2).T
-    of_tare = np.zeros((1, len(components))) if tare is None else tare[1] ** 2
+    of_tare = np.zeros((len(components), len(components)))
     if tare is not None:
-        values = values - tare[0]
-        apart = apart + of_tare
+        values = values - tare.values
+        apart = apart + tare.u**2
+        known_u = tare.u[np.isfinite(tare.u).all(axis=1)]
+        of_tare = tare.correlation * (known_u.T @ known_u) / max(len(known_u), 1)
     correlation = np.eye(len(scatter))
     if known.any():
         correlation = noise_correlation(np.column_stack([interpolate_gaps_linearly(one) for one in values.T]))
@@ -299,7 +326,8 @@ def loads_of_outputs(
         values=values,
         noise_covariance=np.outer(scatter, scatter) * correlation,
         apart=apart,
-        of_tare=of_tare.mean(axis=0),
+        of_tare=of_tare,
+        of_zero=of_zero,
         native=native,
         beyond=beyond,
         contraction=contraction,
@@ -352,12 +380,13 @@ def _noise(channel: Channel) -> float:
     return channel_noise(channel) if known.size >= 8 and float(np.ptp(known)) > 0 else 0.0
 
 
-def _apart(native: Array, zero: GaugeZero, channels: Sequence[Channel], *, slope: Array, transform: Array) -> Array:
+def _apart(native: Array, of_zero: Array, channels: Sequence[Channel], *, slope: Array, transform: Array) -> Array:
     """Variance of the loads from zeros and the bridges' gains, shape (n, c), or (1, c) where no gain is uncertain.
 
-    `slope` is how much the loads change with the gauge outputs, shape (c, c) [N, N*m over mV/V].
+    `of_zero` is the variance of the outputs by their zeros, shape (c,) [(mV/V)^2], and `slope` how much the loads
+    change with the outputs, shape (c, c) [N, N*m over mV/V].
     """
-    of_zero = slope**2 @ (zero.u**2 + zero.drift**2 / 12)
+    of_zero = slope**2 @ of_zero
     gains = np.array([channel.relative_uncertainty for channel in channels])
     if not gains.any():
         return np.asarray(of_zero[None])

@@ -10,14 +10,13 @@ import numpy as np
 
 from aerobalance.balance.calibration.fit import Calibration, matrix_of
 from aerobalance.balance.load_formats import Form
-from aerobalance.balance.loads import Loads, loads_of_outputs
+from aerobalance.balance.loads import Loads, Tare, loads_of_outputs
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.weighing import Weighing
 from aerobalance.balance.weight_on_zero import WeightOnZero, attitudes_of, settled_zero, weight_on_zero, zero_or_mean
 from aerobalance.balance.wind_off import wind_off_loads
 from aerobalance.balance.zeros import CarriedWeight, GaugeZero, Zero, gauge_table
 from aerobalance.recording.blas_threads import one_blas_thread
-from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError, argument, kept_warnings, warn_quality
 from aerobalance.recording.gravity import GravityOnZero
@@ -124,7 +123,7 @@ class OutputReduction:
         if isinstance(tare, Weighing):
             return _weight_off(recording, balance, tare, zero=self.zero, form=self.form)
         counted = self._zero(pitched="pitch" in recording)
-        if tare:  # an error of the zero is in them as well
+        if tare:  # an error of the zero is in them as well, and in their difference none
             counted = zero_or_mean(counted, tare, balance)
             counted = None if counted is None else replace(counted, from_natural={})
             off = wind_off_loads(recording, tare, balance, zero=counted, form=self.form)
@@ -221,10 +220,8 @@ def _weighed_on_zero(zeros: Sequence[Recording], weighing: Weighing) -> WeightOn
     return WeightOnZero(weight, GravityOnZero.of(attitudes, gravity=weighing.gravity), known=weighing.components)
 
 
-def _weight(
-    recording: Recording, weighing: Weighing, balance: BalanceMatrix, *, since: Sequence[Recording]
-) -> tuple[Array, Array]:
-    """Weight as the balance feels it at the attitude of a recording, and its standard uncertainty, shape (n, c).
+def _weight(recording: Recording, weighing: Weighing, balance: BalanceMatrix, *, since: Sequence[Recording]) -> Tare:
+    """Weight as the balance feels it at the attitude of a recording, shape (n, c).
 
     `since` are the zeros of the run, read with the weight on: it counts from there.
     """
@@ -245,7 +242,8 @@ def _weight(
             f"{', '.join(left)} stays in the loads"
         )
     nothing = np.zeros_like(pitch)
-    return (
+    return Tare(
         np.column_stack([nothing if k is None else loads[:, k] for k in columns]),
         np.column_stack([nothing if k is None else u[:, k] for k in columns]),
+        np.eye(len(columns)),
     )

@@ -28,6 +28,23 @@ def variance_of_mean(table: Array) -> Array:
     return np.asarray(means.var(axis=0, ddof=1) / len(means))
 
 
+def correlation_of_means(tables: Sequence[Array]) -> Array:
+    """Correlation of the column means of records of the same load by their batch means, shape (c, c).
+
+    It is that of all batch means about the mean of all: of what is random within records, and what they differ by.
+    """
+    batches = [batch_means(table) for table in tables]
+    if sum(map(len, batches)) < 2 * len(batches):  # records of a few samples
+        batches = list(tables)
+    middle = np.mean([table.mean(axis=0) for table in batches], axis=0)
+    apart = np.concatenate(batches) - middle
+    size = np.sqrt(np.sum(apart**2, axis=0))
+    size = np.where(size > 0, size, 1.0)
+    found = (apart / size).T @ (apart / size)
+    np.fill_diagonal(found, 1.0)
+    return np.asarray(found)
+
+
 class MeanOfRecords(NamedTuple):
     """Mean over records of the same load, each with the same weight.
 

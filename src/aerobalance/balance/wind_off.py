@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.balance.load_formats import Form
-from aerobalance.balance.loads import loads_of_outputs
+from aerobalance.balance.loads import Tare, loads_of_outputs
 from aerobalance.balance.matrix import BalanceMatrix
-from aerobalance.balance.steady_means import mean_of_records, variance_of_mean
+from aerobalance.balance.steady_means import correlation_of_means, mean_of_records, variance_of_mean
 from aerobalance.balance.weight_on_zero import SHARED_PITCH
 from aerobalance.balance.zeros import GaugeZero
 from aerobalance.recording.channel import Array
@@ -25,8 +25,8 @@ def wind_off_loads(
     *,
     zero: GaugeZero | None = None,
     form: Form | None = None,
-) -> tuple[Array, Array]:
-    """Return the tare of a run and its standard uncertainty [N, N*m], shape (n, c), or (1, c) where it is constant.
+) -> Tare:
+    """Return the tare of a run [N, N*m], shape (n, c), or (1, c) where it is constant.
 
     The mean loads of the wind-off recordings are interpolated linearly over pitch; recordings at the same pitch count
     as one, with the mean of their means. Recordings at one pitch only, or without a pitch channel, give a constant
@@ -34,7 +34,8 @@ def wind_off_loads(
 
     The uncertainty of each mean comes from batch means, as that of a zero does, since a model at rest sways and its
     readings are not white. Between two pitch angles the standard uncertainty is interpolated as well, as if both
-    means erred alike: independent errors would average, so this is an upper bound.
+    means erred alike: independent errors would average, so this is an upper bound. Components err together as their
+    batch means go together.
 
     Parameters
     ----------
@@ -63,7 +64,9 @@ def wind_off_loads(
     variances = np.array([variance_of_mean(table) for table in known])
     if not all("pitch" in item for item in (recording, *wind_off)):
         found = mean_of_records(means, variances)
-        return found.values[None, :], np.sqrt(found.variance)[None, :]
+        return Tare(
+            found.values[None, :], np.sqrt(found.variance)[None, :], correlation_of_means(known), from_zero=True
+        )
     angles = np.array([float(np.nanmean(item.channel("pitch").values)) for item in wind_off])
     pitch = recording.channel("pitch").values
     least, most = (float(np.degrees(limit)) for limit in (np.nanmin(pitch), np.nanmax(pitch)))
@@ -78,13 +81,16 @@ def wind_off_loads(
     groups = _at_one_pitch(angles)
     merged = [mean_of_records(means[rows], variances[rows]) for rows in groups]
     values, deviations = np.array([one.values for one in merged]), np.sqrt([one.variance for one in merged])
+    of_groups = np.array([correlation_of_means([known[row] for row in rows]) for rows in groups])
     if len(groups) == 1:
-        return values, deviations
+        return Tare(values, deviations, of_groups[0], from_zero=True)
     knots = [float(angles[rows].mean()) for rows in groups]
     columns = [
         np.column_stack([np.interp(pitch, knots, column) for column in table.T]) for table in (values, deviations)
     ]
-    return columns[0], columns[1]
+    there = pitch[np.isfinite(pitch)]
+    shares = [float(np.mean(np.interp(there, knots, one))) for one in np.eye(len(knots))]
+    return Tare(columns[0], columns[1], np.tensordot(shares, of_groups, axes=1), from_zero=True)
 
 
 def _at_one_pitch(angles: Array) -> list[NDArray[np.intp]]:

@@ -221,13 +221,12 @@ def _of_matrix(loads: Loads, names: Sequence[str], present: NDArray[np.bool_]) -
     native = loads.native[known].mean(axis=0)
     matrix = turn @ loads.balance.load_covariance(native[None])[0] @ turn.T
     slope = turn @ loads.balance.sensitivity(native[None])[0]
-    variance = loads.zero.u**2 + loads.zero.drift**2 / 12
-    zero = slope @ np.diag(variance) @ slope.T
-    tare = loads.of_tare[place]
+    zero = slope @ np.diag(loads.of_zero) @ slope.T
+    tare = loads.of_tare[np.ix_(place, place)]
     # what is left of zeros and gains, whose parts are not told apart: independent of component to component
     apart = loads.apart[known] if len(loads.apart) > 1 else loads.apart
-    rest = np.maximum(apart.mean(axis=0)[place] - np.diag(zero) - tare, 0.0)
-    return np.asarray(matrix + np.diag(rest)), np.asarray(zero), np.diag(tare)
+    rest = np.maximum(apart.mean(axis=0)[place] - np.diag(zero) - np.diag(tare), 0.0)
+    return np.asarray(matrix + np.diag(rest)), np.asarray(zero), np.asarray(tare)
 
 
 def _correlated(run: Array, loads: Loads, names: Sequence[str]) -> Array:
