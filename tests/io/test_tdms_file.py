@@ -178,6 +178,13 @@ def test_files_that_cannot_be_read_as_they_are(tmp_path, channels, said):
         assert words in str(caught.value)
 
 
+def test_a_start_that_no_sample_can_have_is_refused(tmp_path):
+    """As in a damaged file: an OverflowError came of counting the samples from one start to the other."""
+    path = written(tmp_path, segment({"run/AF": wave(FORCE), "run/NF": wave(FORCE, wf_start_offset=-3.88e304)}))
+    with pytest.raises(ReadError, match=r"'run/NF'\): starts -3.88e\+304 s .* is no number of samples of 0.001 s"):
+        read(path)
+
+
 @pytest.mark.parametrize(
     ("data", "said"),
     [

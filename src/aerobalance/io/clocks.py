@@ -21,6 +21,9 @@ from aerobalance.recording.recording import JITTER_ALLOWED
 DRIFT_ALLOWED: Final = 0.1
 """Drift between two clocks over a record, in sampling intervals [1], below which they count as of equal rate."""
 
+FARTHEST: Final = 1e15
+"""Samples by which two clocks may start apart: what counts them is exact up to there."""
+
 
 def on_one_clock(raw: RawColumns) -> RawColumns:
     """Return the columns of a file, each with a clock of its own, on the clock of the fastest.
@@ -60,7 +63,7 @@ def on_one_clock(raw: RawColumns) -> RawColumns:
     longest = max(column.values.size for column in raw.columns)
     peers = [abs(clock.interval - interval) * longest < DRIFT_ALLOWED * interval for clock in clocks]
     origin = clocks[peers.index(True)].start
-    shifts = [round((clock.start - origin) / interval) for clock in clocks]
+    shifts = [_shift(raw, *one, origin=origin, interval=interval) for one in zip(raw.columns, clocks, strict=True)]
     ends = [shift + column.values.size for shift, column in zip(shifts, raw.columns, strict=True)]
     first = max(shift for shift, peer in zip(shifts, peers, strict=True) if peer)
     last = min(end for end, peer in zip(ends, peers, strict=True) if peer)
@@ -91,6 +94,20 @@ def _clock(raw: RawColumns, column: RawColumn) -> Clock:
             "all channels, or leave this one out",
         )
     return column.clock
+
+
+def _shift(raw: RawColumns, column: RawColumn, clock: Clock, *, origin: float, interval: float) -> int:
+    """Whole intervals from an instant to the start of a column; refuse what cannot be counted."""
+    with np.errstate(all="ignore"):
+        shift = float(np.float64(clock.start - origin) / np.float64(interval))
+    if not abs(shift) < FARTHEST:
+        raise ReadError(
+            raw.path,
+            column.place,
+            f"starts {clock.start - origin:.3g} s from the start of the fastest, which is no number of samples of "
+            f"{interval:.3g} s: the file is damaged",
+        )
+    return round(shift)
 
 
 def _check_overlap(raw: RawColumns, peers: list[bool], span: tuple[int, int]) -> None:
