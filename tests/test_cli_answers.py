@@ -417,6 +417,20 @@ def test_repeated_time_stamps_are_named(here, capsys):
     assert "samples 200 and 201 are both at 0.199 s" in err
 
 
+@pytest.mark.parametrize("words", ["--help", "force --help", "--version"])
+def test_a_reader_of_help_that_has_seen_enough_is_no_failure(words):
+    """Parser and help end by a code of 1 where nobody reads any more: ``true`` reads nothing, and is gone by then."""
+    line = f"(sleep 0.2; {sys.executable} -m aerobalance.app.cli {words}) | true; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+
+
+def test_standard_input_in_the_place_of_dynamics_is_said_not_to_be_read(here, capsys):
+    code, _, err = call(capsys, "force", "run.csv", "--dynamics", "-", "-o", "f.csv")
+    assert code == 2
+    assert "error: -: standard input is not read here; give a file" in err
+
+
 def test_a_reader_that_has_seen_enough_is_no_failure(here):
     rows = (f"{i / 1000:.3f},{i}.125" for i in range(20_000))  # more than a pipe holds
     Path("long.csv").write_text("\n".join(["time [s],AF [N]", *rows]) + "\n")

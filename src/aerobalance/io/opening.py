@@ -41,6 +41,8 @@ def opened_file(path: Path) -> Iterator[BufferedReader]:
 
 def _refusal(path: Path, error: OSError | ValueError) -> ReadError:
     if isinstance(error, FileNotFoundError):
+        if str(path) == "-":
+            return ReadError(path, "", "standard input is not read here; give a file")
         return ReadError(path, "", "there is no such file")
     if isinstance(error, IsADirectoryError):
         return ReadError(path, "", "is a folder; a file is needed")

@@ -111,7 +111,10 @@ def main(arguments: list[str] | None = None) -> int:
         warnings.showwarning = warn  # shown at once and not at the end, as `record` runs for hours
         try:
             return _run(_arguments() if arguments is None else arguments)
-        except BrokenPipeError:  # the reader of a pipe, such as head, has closed it: no error
+        except (BrokenPipeError, SystemExit) as problem:
+            # the reader of a pipe, such as head, has closed it: no error, though parser and help end as by one
+            if isinstance(problem, SystemExit) and not isinstance(problem.__context__, BrokenPipeError):
+                raise
             # else Python would fail once more when it flushes standard output at exit
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             return 0
