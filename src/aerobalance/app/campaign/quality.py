@@ -40,7 +40,7 @@ class CampaignQualitySettings:
         Standard uncertainties that stiffness or damping of all runs, or its change along them, is off.
     of_one
         The same over the standard uncertainty by one run: what its likelihood may be wrong by does not average out. Of
-        397 runs under a load that ends among the modes, stiffness was off by 0.9 of it and damping by 0.7.
+        397 runs under a load that ends among the modes, stiffness was off by 1.1 of it.
     told
         Share of the runs that have to tell it: of few, those tell that chance has moved.
     scatter
@@ -52,7 +52,7 @@ class CampaignQualitySettings:
     zero: float = 6.0
     outlier: float = 4.5
     resonance: float = 5.0
-    of_one: float = 1.0
+    of_one: float = 1.5
     told: float = 0.5
     scatter: float = 1e-3
     fewest: int = 5
