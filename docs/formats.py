@@ -113,6 +113,18 @@ def write_recording(path: Path, samples: int) -> None:
             append({label: values[begin : begin + step] for label, values in columns.items()})
 
 
+def recorded(path: Path) -> None:
+    """Write a recording as the recorder does: 400 samples in blocks of all channels."""
+    from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
+
+    channels = tuple(StoredChannel(name, unit) for name, unit in zip(CHANNELS, UNITS, strict=True))
+    writer = BlockWriter(path, channels, rate=RATE, rows=100, provenance=Provenance("a simulated source"))
+    table = np.column_stack([column(i, 400) for i in range(12)])
+    for tick in range(0, 400, 100):
+        writer.append(tick, table[tick : tick + 100])
+    writer.finish("asked to stop")
+
+
 def write_netcdf3(path: Path, samples: int) -> None:
     from scipy.io import netcdf_file
 
@@ -211,7 +223,7 @@ def with_own(path: Path) -> list[np.ndarray]:
     import h5py
 
     with h5py.File(path) as file:
-        return list(np.ascontiguousarray(file["samples"][...].T))
+        return [file["samples"][:, column] for column in range(len(CHANNELS))]
 
 
 def with_h5netcdf(path: Path) -> list[np.ndarray]:
@@ -406,6 +418,10 @@ def originals(name: str, folder: Path) -> list[tuple[Path, str]]:
         if lines:
             (folder / "own.toml").write_text("".join(lines), encoding="utf-8")
         found.append((folder / file, str(folder / "own.toml") if lines else ""))
+    if name == "own HDF5":
+        path = folder / "recorded.h5"
+        recorded(path)
+        found.append((path, ""))
     for given in FILES:
         if given.name in OF_OTHERS.get(name, ()):
             given.make(folder / given.name)

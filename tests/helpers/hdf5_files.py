@@ -2,10 +2,11 @@
 
 import warnings
 
+import h5py
 import numpy as np
 
 from aerobalance.io import read
-from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
+from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel, checksum
 from aerobalance.recording.errors import DataQualityWarning
 
 CHANNELS = (
@@ -35,3 +36,17 @@ def quietly(path):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)
         return read(path)
+
+
+def in_blocks(path, *, version=3):
+    """Change a converted recording to what it was before its channels were stored apart."""
+    with h5py.File(path, "r+") as file:
+        table, blocks = file["samples"][...], file["blocks"][...]
+        for block in blocks:
+            own = slice(int(block["tick"]), int(block["tick"] + block["rows"]))
+            block["crc32"] = checksum(own.start, table[own])
+        chunk = (file["samples"].chunks[0], table.shape[1])
+        del file["samples"], file["checksums"]
+        file.create_dataset("samples", data=table, chunks=chunk, maxshape=(None, chunk[1]), fillvalue=np.nan)
+        file["blocks"][...] = blocks
+        file.attrs["schema_version"] = version

@@ -16,8 +16,11 @@ from aerobalance.io import column_names, load_channel_map, read, template, write
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import headings, read_blocks
 from aerobalance.io.hdf5_layout import CHANNEL_1, StoredChannel, text_bytes
+from aerobalance.io.long_record import open_record
+from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning, ReadError
-from helpers.hdf5_files import CHANNELS, make, quietly, readings
+from aerobalance.recording.recording import Recording
+from helpers.hdf5_files import CHANNELS, in_blocks, make, quietly, readings
 
 
 def test_the_first_layout_is_still_read(tmp_path) -> None:
@@ -101,6 +104,75 @@ def test_every_single_bit_of_the_samples_is_watched(tmp_path, seed) -> None:
         damaged[place + int(bit) // 8] ^= 1 << int(bit) % 8
         file.write_bytes(damaged)
         assert [samples for _, samples in read_blocks(file)] == [None]
+
+
+def converted(path, *, by_channel=True):
+    """A recording of three channels with a time column; channels apart, or in blocks as it was written before."""
+    time = np.arange(20_000) / 1000.0
+    values = readings(0, time.size)
+    channels = {
+        name: Channel(name, column, unit)
+        for name, unit, column in zip(("AF", "pitch", "NF"), ("N", "rad", "N"), values.T, strict=True)
+    }
+    write_recording(path, Recording.from_columns(time, channels))
+    if not by_channel:
+        in_blocks(path)
+    return values
+
+
+@pytest.mark.parametrize("by_channel", [True, False])
+def test_a_converted_recording_of_either_layout_is_read(tmp_path, by_channel) -> None:
+    path, toml = tmp_path / "a.h5", tmp_path / "map.toml"
+    values = converted(path, by_channel=by_channel)
+    found = read(path)
+    for place, name in enumerate(("AF", "pitch", "NF")):
+        np.testing.assert_allclose(found.channel(name).values, values[:, place], rtol=3e-16)  # pitch was in degrees
+    toml.write_text('[file]\ntime = "time"\ntime_unit = "s"\n[channels.SF]\ncolumn = "NF"\nunit = "N"\n')
+    only = read(path, channel_map=load_channel_map(toml))
+    np.testing.assert_array_equal(only.channel("SF").values, values[:, 2])
+    with open_record(path) as record:
+        part = record.part(8000, 17_000)  # of three blocks
+    np.testing.assert_array_equal(part.channel("NF").values, values[8000:17_000, 2])
+    assert np.concatenate([block for _, block in read_blocks(path)]).shape == (20_000, 3)
+
+
+def test_one_channel_of_a_converted_recording_is_read_without_the_others(tmp_path) -> None:
+    path, toml = tmp_path / "a.h5", tmp_path / "map.toml"
+    values = converted(path)
+    with h5py.File(path, "r") as file:
+        samples = file["samples"]
+        assert samples.chunks == (8192, 1)
+        places = {column: samples.id.get_chunk_info_by_coord((8192, column)).byte_offset for column in range(3)}
+    whole = path.read_bytes()
+    for damaged, column in ((0, "NF"), (2, "AF")):
+        data = bytearray(whole)
+        data[places[damaged] + 1000] ^= 1
+        path.write_bytes(data)
+        toml.write_text(
+            f'[file]\ntime = "time"\ntime_unit = "s"\n[channels.{column}]\ncolumn = "{column}"\nunit = "N"\n'
+        )
+        found = read(path, channel_map=load_channel_map(toml))  # a block that is left out would be a warning
+        np.testing.assert_array_equal(found.channel(column).values, values[:, 0 if column == "AF" else 2])
+        with pytest.warns(DataQualityWarning) as said:
+            rest = read(path)
+        assert any("block 2 of 3 (8192 samples from tick 8192)" in str(item.message) for item in said)
+        assert np.array_equal(np.flatnonzero(rest.channel(column).missing), np.arange(8192, 16_384))
+
+
+def test_every_single_bit_of_a_converted_recording_is_watched(tmp_path, seed) -> None:
+    path = tmp_path / "a.h5"
+    converted(path)
+    with h5py.File(path, "r") as file:
+        places = [file["samples"].id.get_chunk_info_by_coord((16_384, column)).byte_offset for column in range(3)]
+        checksums = file["checksums"].id.get_chunk_info(0).byte_offset + 2 * 3 * 4
+    rng, data = np.random.default_rng(seed), path.read_bytes()
+    rows = 20_000 - 16_384
+    bits = [8 * place + int(bit) for place in places for bit in rng.integers(0, rows * 64, 10)]
+    for bit in (*bits, *(8 * checksums + int(bit) for bit in rng.integers(0, 3 * 32, 10))):
+        damaged = bytearray(data)
+        damaged[bit // 8] ^= 1 << bit % 8
+        path.write_bytes(damaged)
+        assert [samples is None for _, samples in read_blocks(path)] == [False, False, True]
 
 
 KILLED = """

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import warnings
@@ -11,10 +12,12 @@ import numpy as np
 import pytest
 
 from aerobalance.acquisition.setup import load_setup
-from aerobalance.io import read
+from aerobalance.io import read, write_recording
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_layout import BLOCK, BlockWriter, Provenance, StoredChannel
+from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning, ReadError
+from aerobalance.recording.recording import Recording
 from seeds import trials
 
 CHANNELS = (StoredChannel("AF", "N"), StoredChannel("NF", "N"))
@@ -144,6 +147,32 @@ def test_sizes_that_hdf5_files_claim_are_not_believed(tmp_path) -> None:
     said = bounded(*(("read", path) for path in paths.values()))
     for name, (_, words) in cases.items():
         assert words in said[str(paths[name])], said[str(paths[name])]
+
+
+def test_sizes_that_converted_hdf5_files_claim_are_not_believed(tmp_path) -> None:
+    def one_chunk(file) -> None:
+        del file["samples"]
+        file.create_dataset("samples", (2000, 2), "<f8", chunks=(2000, 2))
+
+    cases = {
+        "checksums": (
+            replaced("checksums", (10**9, 2), "<u4", chunks=(10**5, 2)),
+            "checksums: must be 2 of each of 1",
+        ),
+        "short": (replaced("checksums", data=np.zeros((0, 2), "<u4")), "checksums: must be 2 of each of 1 blocks"),
+        "chunk": (one_chunk, "samples: must have a chunk for every column"),
+        "nothing": (replaced("samples", (2000, 2), "<f8", chunks=(2000, 1)), "has no two samples|cannot be read|HDF5"),
+    }
+    paths = {}
+    for name, (change, _) in cases.items():
+        paths[name] = tmp_path / f"{name}.h5"
+        time, channels = np.arange(2000) / 1000.0, {one: Channel(one, np.ones(2000), "N") for one in ("AF", "NF")}
+        write_recording(paths[name], Recording.from_columns(time, channels))
+        with h5py.File(paths[name], "r+") as file:
+            change(file)
+    said = bounded(*(("read", path) for path in paths.values()))
+    for name, (_, words) in cases.items():
+        assert re.search(words, said[str(paths[name])]), said[str(paths[name])]
 
 
 def test_a_set_up_of_any_size_is_passed_over(tmp_path) -> None:

@@ -13,6 +13,7 @@ from aerobalance.motion.platform import PlatformMotion
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import ReadError
 from aerobalance.recording.recording import Recording
+from helpers.hdf5_files import in_blocks
 
 MAP = """
 [file]
@@ -69,6 +70,7 @@ def test_place_and_axis_survive_a_conversion_to_hdf5(mapped, tmp_path):
 
 def test_the_second_layout_is_still_read(mapped, tmp_path):
     write_recording(tmp_path / "run.h5", mapped)
+    in_blocks(tmp_path / "run.h5", version=2)
     with h5py.File(tmp_path / "run.h5", "r+") as file:
         table = file["channels"][...]
         second = np.zeros(table.shape, CHANNEL_2)
@@ -76,7 +78,6 @@ def test_the_second_layout_is_still_read(mapped, tmp_path):
             second[name] = table[name]
         del file["channels"]
         file.create_dataset("channels", data=second)
-        file.attrs["schema_version"] = 2
         file.attrs["channels_crc32"] = zlib.crc32(second.tobytes())
     channel = read(tmp_path / "run.h5").channel("ground_acceleration_1")
     assert (channel.noise, channel.place, channel.axis) == (1e-3, None, None)

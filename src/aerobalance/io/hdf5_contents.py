@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from aerobalance.io.hdf5_closing import is_written, marked_as_written
 from aerobalance.io.hdf5_heaps import check_heaps
-from aerobalance.io.hdf5_layout import BLOCK, CHANNELS, EVENT, FORMAT, GAP, STATUS, StoredChannel
+from aerobalance.io.hdf5_layout import BLOCK, BY_CHANNEL, CHANNELS, EVENT, FORMAT, GAP, STATUS, StoredChannel
 from aerobalance.io.hdf5_marked import UnmarkedFile
 from aerobalance.io.opening import opened_file
 from aerobalance.io.said_by_file import date_of
@@ -61,6 +61,9 @@ class Contents:
         Whether the file has the mark of one that is being written.
     epoch
         Date and time at which the time is zero; None where the file does not say it.
+    checksums
+        Checksum of each channel of each block, shape (blocks, c), where a channel is read without the others; None
+        where a block has one.
     """
 
     channels: tuple[StoredChannel, ...]
@@ -75,6 +78,7 @@ class Contents:
     time_unit: str
     marked: bool
     epoch: np.datetime64 | None = None
+    checksums: NDArray[np.uint32] | None = None
 
     @property
     def timed(self) -> bool:
@@ -149,17 +153,20 @@ def contents_of(path: Path, file: h5py.File) -> Contents:
         raise ReadError(
             path, "samples", f"must hold {len(channels)} columns of float64 in chunks: the file is damaged"
         )
+    if schema == BY_CHANNEL and samples.chunks[1] != 1:
+        raise ReadError(path, "samples", "must have a chunk for every column: the file is damaged")
     unit = _time_unit(path, file)
     rate = float(_attribute(path, file, "rate"))
     if not unit and not 0 < rate < 1e12:
         raise ReadError(path, "rate", f"must be above zero, not {rate:g} Hz")
     status = _table(path, file, "status", STATUS)[0]
     slot = int(samples.chunks[0])
+    blocks = _blocks(path, _table(path, file, "blocks", BLOCK), slot, len(channels))
     return Contents(
         channels=channels,
         rate=rate,
         slot=slot,
-        blocks=_blocks(path, _table(path, file, "blocks", BLOCK), slot, len(channels)),
+        blocks=blocks,
         gaps=_table(path, file, "gaps", GAP),
         events=_table(path, file, "events", EVENT),
         state=_text(status["state"]),
@@ -168,6 +175,7 @@ def contents_of(path: Path, file: h5py.File) -> Contents:
         time_unit=unit,
         marked=_is_marked(path),
         epoch=date_of(_attribute(path, file["status"], "epoch")) if "epoch" in file["status"].attrs else None,
+        checksums=_checksums(path, file, blocks, len(channels)) if schema == BY_CHANNEL else None,
     )
 
 
@@ -236,6 +244,15 @@ def _table(path: Path, file: h5py.File, name: str, kind: np.dtype[np.void]) -> N
         raise ReadError(path, name, f"claims {dataset.shape[0]} rows, more than the file can hold: it is damaged")
     rows: NDArray[np.void] = dataset[...]
     return rows
+
+
+def _checksums(path: Path, file: h5py.File, blocks: NDArray[np.void], columns: int) -> NDArray[np.uint32]:
+    """Checksums of the channels of each block, shape (blocks, c)."""
+    dataset = _dataset(path, file, "checksums")
+    if dataset.dtype != "<u4" or dataset.shape != (len(blocks), columns):
+        raise ReadError(path, "checksums", f"must be {columns} of each of {len(blocks)} blocks: the file is damaged")
+    found: NDArray[np.uint32] = dataset[...]
+    return found
 
 
 def _blocks(path: Path, table: NDArray[np.void], slot: int, columns: int) -> NDArray[np.void]:

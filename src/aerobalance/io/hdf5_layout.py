@@ -11,11 +11,15 @@ events     (e,)             tick, time, kind, text
 channels   (c,)             name, unit and settings of each column
 status     (1,)             state, reason, tick of time zero; written in place
 time       (slots * rows,)  time of each row, only in files without ticks (see `write_columns`)
+checksums  (slots, c)       CRC-32 of each column of each block, only where columns are stored apart
 ========== ================ =================================================================================
 
 A tick is the number of a sample on the clock of the source. The value of a channel in its unit is
 ``sign * (scale * reading + offset)``. The checksum is the CRC-32 of tick and rows as two little-endian 64-bit
 integers, followed by the samples row by row; the attribute channels_crc32 is that of the table of channels.
+
+A recorder writes a block at once, in one chunk. What is converted has a chunk for every column of a block (version 4),
+so that one channel is read without the others: there tick and rows are followed by the block's row of checksums.
 """
 
 from __future__ import annotations
@@ -46,7 +50,10 @@ if TYPE_CHECKING:
 
 FORMAT: Final = "aerobalance recording"
 SCHEMA: Final = 3
-"""Version of the layout that is written; versions 1 and 2 have shorter tables of channels."""
+"""Version of the layout that a recorder writes; versions 1 and 2 have shorter tables of channels."""
+
+BY_CHANNEL: Final = 4
+"""Version of the layout in which every channel of a block has a chunk and a checksum of its own."""
 
 BLOCK: Final = np.dtype([("tick", "<i8"), ("rows", "<i8"), ("crc32", "<u4"), ("written", "<f8")])
 GAP: Final = np.dtype([("tick", "<i8"), ("samples", "<i8"), ("kind", "S16"), ("text", "S256")])
@@ -77,7 +84,7 @@ CHANNEL_2: Final = np.dtype(
     ]
 )
 CHANNEL: Final = np.dtype([*((name, CHANNEL_2[name]) for name in CHANNEL_2.names or ()), ("mounting", "S256")])
-CHANNELS: Final[Mapping[int, np.dtype[np.void]]] = {1: CHANNEL_1, 2: CHANNEL_2, SCHEMA: CHANNEL}
+CHANNELS: Final[Mapping[int, np.dtype[np.void]]] = {1: CHANNEL_1, 2: CHANNEL_2, SCHEMA: CHANNEL, BY_CHANNEL: CHANNEL}
 """Table of channels by version of the layout."""
 
 STATUS: Final = np.dtype([("state", "S16"), ("reason", "S512"), ("origin", "<i8"), ("ended", "<f8")])
@@ -155,6 +162,11 @@ def checksum(tick: int, samples: Array) -> int:
     return zlib.crc32(np.ascontiguousarray(samples, dtype="<f8").data, head)
 
 
+def checksum_of_checksums(tick: int, rows: int, channels: NDArray[np.uint32]) -> int:
+    """Return the CRC-32 of a block of which every channel has its own: its tick and rows, then these, shape (c,)."""
+    return zlib.crc32(channels.astype("<u4").tobytes(), zlib.crc32(struct.pack("<qq", tick, rows)))
+
+
 def lay_out(
     file: h5py.File,
     channels: Sequence[StoredChannel],
@@ -163,6 +175,7 @@ def lay_out(
     rows: int,
     provenance: Provenance,
     time_unit: str = "",
+    by_channel: bool = False,
 ) -> None:
     """Make the datasets of a recording without samples.
 
@@ -180,12 +193,14 @@ def lay_out(
         Where the samples come from.
     time_unit
         Unit of the time stamps, where every row has one of its own instead of a tick.
+    by_channel
+        Whether every channel of a block has a chunk and a checksum of its own.
     """
     table, columns = _channel_table(channels), len(channels)
     file.attrs.update(
         {
             "format": FORMAT,
-            "schema_version": SCHEMA,
+            "schema_version": BY_CHANNEL if by_channel else SCHEMA,
             "program": f"aerobalance {VERSION}",
             "rate": rate,
             "name": provenance.name,
@@ -199,7 +214,10 @@ def lay_out(
     file.create_dataset("setup", data=np.frombuffer(setup, dtype="u1"))
     file.create_dataset("channels", data=table)
     growing = {"dtype": "<f8", "fillvalue": np.nan}
-    file.create_dataset("samples", (0, columns), maxshape=(None, columns), chunks=(rows, columns), **growing)
+    chunk = (rows, 1 if by_channel else columns)
+    file.create_dataset("samples", (0, columns), maxshape=(None, columns), chunks=chunk, **growing)
+    if by_channel:
+        file.create_dataset("checksums", (0, columns), "<u4", maxshape=(None, columns), chunks=(256, columns))
     if time_unit:
         file.create_dataset("time", (0,), maxshape=(None,), chunks=(rows,), **growing)
         file["time"].attrs["unit"] = time_unit

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from aerobalance.io.clocks import steady_clock_of
 from aerobalance.io.columns import PIECE, RawColumns
 from aerobalance.io.hdf5_contents import Contents, contents_of, opened
-from aerobalance.io.hdf5_file import LARGEST_GAP, raw_column, read_block, remarks_on
+from aerobalance.io.hdf5_file import LARGEST_GAP, raw_column, read_channels, remarks_on
 from aerobalance.io.measure import beyond_all_measure, take_out
 from aerobalance.io.table import channels_of, table_from, warn_of_limit, warn_of_missing
 from aerobalance.recording.channel import Array, Channel
@@ -93,7 +93,7 @@ class Hdf5Record:
         DataQualityWarning
             A block is damaged and left out, or samples are missing or rest on a limit.
         """
-        rows, readings, stamps = self._read(begin, end)
+        rows, readings, stamps = self._read(begin, end, range(len(self.found.channels)))
         columns = tuple(
             raw_column(channel, readings[place], place + self.found.timed)
             for place, channel in enumerate(self.found.channels)
@@ -123,17 +123,17 @@ class Hdf5Record:
             epoch=self.found.epoch,
         )
 
-    def _read(self, begin: int, end: int) -> tuple[NDArray[np.intp], Array, Array]:
-        """Rows that are there, counted from `begin`, shape (m,), their readings (c, m), and their time stamps (m,)."""
+    def _read(self, begin: int, end: int, columns: Sequence[int]) -> tuple[NDArray[np.intp], Array, Array]:
+        """Rows that are there, counted from `begin`, shape (m,), readings of columns (k, m), and time stamps (m,)."""
         blocks = self.found.blocks
         first = blocks["tick"] - blocks["tick"][0]
         wanted = np.flatnonzero((first < end) & (first + blocks["rows"] > begin))
-        table, there = np.empty((len(self.found.channels), end - begin)), np.empty(end - begin, dtype=np.intp)
+        table, there = np.empty((len(columns), end - begin)), np.empty(end - begin, dtype=np.intp)
         stamps, filled = np.empty(end - begin if self.found.timed else 0), 0
         data, time = self.file["samples"], self.file["time"] if self.found.timed else None
         for number in wanted.tolist():
             try:
-                samples = read_block(data, self.found, number)
+                samples = read_channels(data, self.found, number, columns)
             except (OSError, RuntimeError) as error:
                 raise ReadError(self.path, f"block {number + 1}", f"cannot be read: {error}") from None
             if samples is None:
@@ -143,18 +143,17 @@ class Hdf5Record:
                 )
                 continue
             since = int(first[number]) - begin
-            kept = slice(max(0, -since), min(samples.shape[0], end - begin - since))
+            kept = slice(max(0, -since), min(samples.shape[1], end - begin - since))
             part = slice(filled, filled + kept.stop - kept.start)
             there[part] = np.arange(since + kept.start, since + kept.stop)
-            for column in range(len(table)):
-                table[column, part] = samples[kept, column]
+            table[:, part] = samples[:, kept]
             if time is not None:
                 row = number * self.found.slot
                 stamps[part] = time[row + kept.start : row + kept.stop]
             filled = part.stop
         table, there = table[:, :filled], there[:filled]
         taken = enumerate(map(take_out, table))
-        large = [(there[places[0]] + begin, column, places.size) for column, places in taken if places.size]
+        large = [(there[places[0]] + begin, columns[row], places.size) for row, places in taken if places.size]
         if large:
             sample, column, _ = min(large)
             where = f"{self.found.channels[column].name} at sample {sample}"
@@ -169,8 +168,8 @@ class Hdf5Record:
         place = next(i for i, one in enumerate(self.found.channels) if one.name == name)
 
         def read(begin: int, end: int) -> Array:
-            _, readings, _ = self._read(begin, end)
-            column = raw_column(self.found.channels[place], readings[place], place)
+            _, readings, _ = self._read(begin, end, [place])
+            column = raw_column(self.found.channels[place], readings[0], place)
             raw = RawColumns(self.path, (column,), range(1, readings.shape[1] + 1), rate=self.rate)
             return table_from(raw, missing_allowed=True).values(name)
 

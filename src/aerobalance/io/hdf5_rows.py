@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import time as clock
+import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +20,7 @@ from aerobalance.io.hdf5_layout import (
     DiskFullError,
     Provenance,
     StoredChannel,
-    checksum,
+    checksum_of_checksums,
     disk_full,
     lay_out,
     status_row,
@@ -82,7 +83,10 @@ def appending(
             try:
                 with GuardedFile(beside) as disk, h5py.File(disk, "w", libver=LIBVER) as file:
                     provenance = Provenance(f"converted; time column time [{unit}]")
-                    lay_out(file, channels, rate=float("nan"), rows=rows, provenance=provenance, time_unit=unit)
+                    nan = float("nan")
+                    lay_out(
+                        file, channels, rate=nan, rows=rows, provenance=provenance, time_unit=unit, by_channel=True
+                    )
                     if epoch is not None:
                         file["status"].attrs["epoch"] = str(epoch)
                     writer = _Rows(file, disk, channels, rows)
@@ -95,14 +99,15 @@ def appending(
 
 
 class _Rows:
-    """Writes rows to an open file, block by block; a block is collected in a small table that the cache can hold."""
+    """Writes rows to an open file, block by block, every channel as a chunk of its own."""
 
     def __init__(self, file: h5py.File, disk: GuardedFile, channels: tuple[StoredChannel, ...], rows: int) -> None:
         self._file, self._disk, self._channels, self._rows = file, disk, channels, rows
         self._samples, self._time = file["samples"], file["time"]
-        self._table, self._stamps = np.empty((rows, len(channels))), np.empty(rows)
+        self._table, self._stamps = np.empty((len(channels), rows), dtype="<f8"), np.empty(rows)
         self._filled = self._written = 0
         self._blocks: list[tuple[int, int, int, float]] = []
+        self._checksums: list[list[int]] = []
 
     def append(self, columns: Mapping[str, Array]) -> None:
         """Take the next rows; complete blocks are written, the rest is kept."""
@@ -118,7 +123,7 @@ class _Rows:
             own, part = slice(self._filled, self._filled + count), slice(at, at + count)
             self._stamps[own] = stamps[part]
             for column, values in enumerate(given):
-                self._table[own, column] = values[part]
+                self._table[column, own] = values[part]
             self._filled, at = own.stop, part.stop
             if self._filled == self._rows:
                 self._write()
@@ -134,6 +139,9 @@ class _Rows:
         blocks = np.array(self._blocks, dtype=BLOCK)
         self._file["blocks"].resize(blocks.shape)
         self._file["blocks"][...] = blocks
+        checksums = np.array(self._checksums, dtype="<u4").reshape(len(blocks), len(self._channels))
+        self._file["checksums"].resize(checksums.shape)
+        self._file["checksums"][...] = checksums
         self._file["status"][...] = status_row("ended", CONVERTED)
 
     def _grow(self, rows: int) -> None:
@@ -142,12 +150,17 @@ class _Rows:
             self._time.resize((rows,))
 
     def _write(self) -> None:
-        """Write the collected block, with its checksum in the index."""
-        values = self._table[: self._filled]
-        values[~np.isfinite(values)] = np.nan
+        """Write the collected block, with its checksums."""
+        self._table[:, self._filled :] = np.nan  # a chunk is whole; the file ends in the middle of the last
+        self._table[~np.isfinite(self._table)] = np.nan
+        for column, values in enumerate(self._table):  # past the selections of the library, which take longer
+            self._samples.id.write_direct_chunk((self._written, column), values.data)
         place = slice(self._written, self._written + self._filled)
-        self._samples[place], self._time[place] = values, self._stamps[: self._filled]
-        self._blocks.append((place.start, self._filled, checksum(place.start, values), clock.time()))
+        self._time[place] = self._stamps[: self._filled]
+        own = [zlib.crc32(values[: self._filled].data) for values in self._table]
+        whole = checksum_of_checksums(place.start, self._filled, np.array(own, dtype=np.uint32))
+        self._checksums.append(own)
+        self._blocks.append((place.start, self._filled, whole, clock.time()))
         self._written, self._filled = place.stop, 0
 
 
