@@ -1,10 +1,14 @@
 """Writes docs/formats.md: what is measured of every format, beside the library of the format alone.
 
     python docs/formats.py [--samples 15000000] [--folder build/formats] [--page docs/formats.md] [NAME ...]
+    python docs/formats.py --convert 3000000 [NAME ...]
     python docs/formats.py --damaged 10000 [NAME ...]
 
 Files of twelve channels are written and read, each in a process of its own; of those named, or of all. Rows that were
 measured before are kept in FOLDER/rows.json. Takes 4 GB of memory and as much of the disk.
+
+With ``--convert`` files of so many samples are converted, five times in turn with their library, which reads and writes
+them alone.
 
 With ``--damaged`` small files are damaged byte by byte and read instead, until so many of every format were: counts
 are kept in FOLDER/damaged.json, and what must not be in FOLDER/faults.txt; the format with the fewest is next.
@@ -30,15 +34,12 @@ HERE = Path(__file__).parent
 RATE = 25_000.0
 CHANNELS = ("NF", "PM", "SF", "YM", "RM", "AF", "rNF", "rPM", "rSF", "rYM", "rRM", "rAF")
 UNITS = ("N", "N*m", "N", "N*m", "N*m", "N", *["mV/V"] * 6)
-SMALLER = {"MATLAB 7.3": 5, "UFF 58": 100, "UFF 58b": 10, "text (CSV)": 10}
-"""Formats of which files are shorter by so much, as the library alone takes minutes, or the file is text."""
-
 SMALL = {"text (CSV)": 150_000}
 """Samples of the files that are read first, where it takes so many that all libraries are loaded."""
 
 HEAD = """# Formats
 
-Reading twelve channels of {samples} samples each (float64: {size:.0f} MB; shorter where said) from every
+Reading twelve channels of {samples} samples each (float64: {size:.0f} MB) from every
 format, and one of them, beside the library of the format alone, which turns the same file into the same
 arrays. Processor times of single processes, on files that are in memory already, medians of three; they vary
 by a third on a machine that does other work. Peak memory is that of the process with its libraries. What is
@@ -373,7 +374,6 @@ def child(name: str, way: str, path: Path) -> None:
 def row(name: str, samples: int, folder: Path) -> dict[str, Any]:
     """Measure one format, each way three times in turn: the medians."""
     file, library, lazy, write, _, _ = FORMATS[name]
-    samples //= SMALLER.get(name, 1)
     path = folder / file
     for place, count in ((path, samples), (folder / f"small-{file}", SMALL.get(name, 1000))):
         if place.is_dir():
@@ -395,6 +395,151 @@ def row(name: str, samples: int, folder: Path) -> dict[str, Any]:
     for place in (path, folder / f"small-{file}"):
         shutil.rmtree(place) if place.is_dir() else place.unlink()
     return found
+
+
+def write_alone_hdf5(path: Path, columns: list[np.ndarray]) -> None:
+    import h5py
+
+    with h5py.File(path, "w") as file:
+        for name, values in zip(CHANNELS, columns, strict=True):
+            file.create_dataset(name, data=values)
+
+
+def write_alone_mat(path: Path, columns: list[np.ndarray]) -> None:
+    from scipy.io import savemat
+
+    names = ("time", *CHANNELS)
+    units = dict(zip(names, ("s", *UNITS), strict=True))
+    savemat(path, dict(zip(names, columns, strict=True)) | {"units": units}, oned_as="column")
+
+
+def write_alone_netcdf(path: Path, columns: list[np.ndarray]) -> None:
+    import h5netcdf
+
+    with h5netcdf.File(path, "w") as file:
+        file.dimensions = {"time": columns[0].size}
+        for name, unit, values in zip(("time", *CHANNELS), ("s", *UNITS), columns, strict=True):
+            file.create_variable(name, ("time",), "f8", data=values).attrs["units"] = unit
+
+
+def write_alone_parquet(path: Path, columns: list[np.ndarray]) -> None:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    pq.write_table(pa.table(list(columns), names=["time", *CHANNELS]), path)
+
+
+def write_alone_uff(path: Path, columns: list[np.ndarray]) -> None:
+    import pyuff
+
+    for number, (name, values) in enumerate(zip(CHANNELS, columns, strict=True)):
+        even = {"abscissa_spacing": 1, "abscissa_min": 0.0, "abscissa_inc": 1 / RATE, "x": stamps(values.size)}
+        node = {"rsp_node": number + 1, "rsp_dir": 1, "ref_node": 0, "ref_dir": 0}
+        kinds = dict.fromkeys(("abscissa", "orddenom", "z_axis", "ordinate"), 0)
+        given = pyuff.prepare_58(
+            binary=1,
+            func_type=1,
+            id1=name,
+            data=values,
+            **node,
+            **even,
+            **{f"{key}_spec_data_type": value for key, value in kinds.items()},
+        )
+        pyuff.UFF(str(path)).write_sets(given, mode="add")
+
+
+def write_alone_csv(path: Path, columns: list[np.ndarray]) -> None:
+    import pandas as pd
+
+    pd.DataFrame(dict(zip(("time", *CHANNELS), columns, strict=True))).to_csv(path, index=False)
+
+
+def from_columns(write: Callable[[Path, list[np.ndarray]], None]) -> Callable[[Path, int], None]:
+    """Return what writes a file by its library alone."""
+    return lambda path, samples: write(path, [stamps(samples), *(column(i, samples) for i in range(12))])
+
+
+Converted = tuple[
+    str, str, Callable[[Path, int], None], Callable[[Path], Any], Callable[[Path, list[np.ndarray]], None]
+]
+CONVERTED: dict[str, Converted] = {
+    "HDF5": ("h5", "h5py", write_hdf5, with_h5py, write_alone_hdf5),
+    "MATLAB 5": ("mat", "scipy", from_columns(write_alone_mat), with_loadmat, write_alone_mat),
+    "NetCDF-4": ("nc", "h5netcdf", from_columns(write_alone_netcdf), with_h5netcdf, write_alone_netcdf),
+    "Parquet": ("parquet", "pyarrow", write_recording, with_parquet, write_alone_parquet),
+    "UFF 58b": ("uff", "pyuff", write_recording, with_pyuff, write_alone_uff),
+    "text (CSV)": ("csv", "pandas", write_recording, with_pandas, write_alone_csv),
+}
+"""Formats that are converted into themselves: ending, library, and what makes, reads and writes a file."""
+
+PAIRS = 5
+
+
+def convert_child(name: str, way: str, path: Path) -> None:
+    """Convert a file one way and print the times of it."""
+    from aerobalance.app.commands.recordings import convert
+
+    _, _, _, read, write = CONVERTED[name]
+    tasks = {"alone": lambda given, out: write(out, read(given)), "own": lambda given, out: convert([given], out)}
+    warnings.simplefilter("ignore")
+    for given in (path.with_name(f"small-{path.name}"), path):
+        out = path.with_name(f"out-{path.name}")
+        out.unlink(missing_ok=True)
+        before, start = time.process_time(), time.perf_counter()
+        tasks[way](given, out)
+        found = {"seconds": time.process_time() - before, "elapsed": time.perf_counter() - start}
+    print(json.dumps(found))
+
+
+def convert_row(name: str, samples: int, folder: Path) -> dict[str, Any]:
+    """Measure the conversion of one format beside its library: medians of the times, and of what pairs differ by."""
+    ending, library, make, _, _ = CONVERTED[name]
+    path = folder / f"converted.{ending}"
+    made = (path.with_name(f"small-{path.name}"), path)
+    for place, count in zip(made, (150_000, samples), strict=True):
+        place.unlink(missing_ok=True)
+        make(place, count)
+    ways: dict[str, list[dict[str, float]]] = {"alone": [], "own": []}
+    for _ in range(PAIRS):
+        for way, kept in ways.items():
+            command = [sys.executable, __file__, "--convert-child", name, way, str(path)]
+            done = subprocess.run(command, capture_output=True, text=True, check=True, env=os.environ)
+            kept.append(json.loads(done.stdout.splitlines()[-1]))
+    for place in (*made, path.with_name(f"out-{path.name}")):
+        place.unlink()
+    found: dict[str, Any] = {"name": name, "library": library, "samples": samples}
+    for key in ("seconds", "elapsed"):
+        alone, own = (np.array([one[key] for one in ways[way]]) for way in ("alone", "own"))
+        found[key] = [float(np.median(one)) for one in (alone, own, alone / own)]
+    return found
+
+
+CONVERT_HEAD = """
+## Converting
+
+Files of twelve channels of {samples} samples with their times, converted by `aerobalance convert` into the same
+format, beside the library of the format alone, which reads such a file and writes what it has read; files of HDF5,
+MATLAB and NetCDF as the library writes them. Medians of five pairs, each in a process of its own; speed is the median
+of what pairs differ by, 1 for as fast as the library. Elapsed time has the wait until the file is safe on the disk,
+for which the library does not wait. Written by `python docs/formats.py --convert 3000000`.
+
+| format | library | processor time, library: s | `convert`: s | speed | elapsed, library: s | `convert`: s | speed |
+|---|---|---|---|---|---|---|---|
+"""
+
+
+def convert_table(rows: list[dict[str, Any]]) -> str:
+    """Return the part of the page on conversions."""
+    lines = []
+    for one in rows:
+        cells = [
+            f"{value:.2g}" if place < 2 else f"{value:.2f}"
+            for key in ("seconds", "elapsed")
+            for place, value in enumerate(one[key])
+        ]
+        lines.append(f"| {' | '.join([one['name'], one['library'], *cells])} |")
+    samples = f"{rows[0]['samples']:,}".replace(",", " ") if rows else ""
+    return CONVERT_HEAD.format(samples=samples) + "\n".join(lines) + "\n" if rows else ""
 
 
 DAMAGED_AT_ONCE = 1000
@@ -547,11 +692,15 @@ def main() -> None:
     if sys.argv[1:2] == ["--child"]:
         child(sys.argv[2], sys.argv[3], Path(sys.argv[4]))
         return
+    if sys.argv[1:2] == ["--convert-child"]:
+        convert_child(sys.argv[2], sys.argv[3], Path(sys.argv[4]))
+        return
     parser = argparse.ArgumentParser(description="Measure every format.")
     parser.add_argument("names", nargs="*")
     parser.add_argument("--samples", type=int, default=15_000_000)
     parser.add_argument("--folder", type=Path, default=HERE.parent / "build" / "formats")
     parser.add_argument("--page", type=Path, default=HERE / "formats.md")
+    parser.add_argument("--convert", type=int)
     parser.add_argument("--damaged", type=int)
     given = parser.parse_args()
     given.folder.mkdir(parents=True, exist_ok=True)
@@ -560,9 +709,21 @@ def main() -> None:
     def save() -> None:
         damaged = kept_rows(given.folder / "damaged.json")
         ordered = [rows[name] for name in FORMATS if name in rows]
-        text = page(ordered, given.samples) + damaged_table([damaged[name] for name in DAMAGED if name in damaged])
+        text = page(ordered, given.samples)
+        converted = kept_rows(given.folder / "converted.json")
+        text += convert_table([converted[name] for name in CONVERTED if name in converted])
+        text += damaged_table([damaged[name] for name in DAMAGED if name in damaged])
         given.page.write_text(text, encoding="utf-8")
 
+    if given.convert:
+        for name in given.names or CONVERTED:
+            converted = kept_rows(given.folder / "converted.json")
+            converted[name] = convert_row(name, given.convert, given.folder)
+            text = json.dumps(list(converted.values()), indent=1)
+            (given.folder / "converted.json").write_text(text, encoding="utf-8")
+            print(name, converted[name], flush=True)
+            save()
+        return
     if given.damaged:
         sys.path.insert(0, str(HERE.parent / "tests"))
         damage(given.names or list(DAMAGED), given.damaged, given.folder, save)
