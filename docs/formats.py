@@ -7,8 +7,8 @@
 Files of twelve channels are written and read, each in a process of its own; of those named, or of all. Rows that were
 measured before are kept in FOLDER/rows.json. Takes 4 GB of memory and as much of the disk.
 
-With ``--convert`` files of so many samples are converted, five times in turn with their library, which reads and writes
-them alone.
+With ``--convert`` files of so many samples are converted, five times in turn with their library, which reads and
+writes them alone.
 
 With ``--damaged`` small files are damaged byte by byte and read instead, until so many of every format were: counts
 are kept in FOLDER/damaged.json, and what must not be in FOLDER/faults.txt; the format with the fewest is next.
@@ -519,7 +519,8 @@ CONVERT_HEAD = """
 
 Files of twelve channels of {samples} samples with their times, converted by `aerobalance convert` into the same
 format, beside the library of the format alone, which reads such a file and writes what it has read; files of HDF5,
-MATLAB and NetCDF as the library writes them. Medians of five pairs, each in a process of its own; speed is the median
+MATLAB and NetCDF are as the library writes them. HDF5 is written as own HDF5, whose checksums the library has not;
+what is read is looked through for what is missing, beyond all measure or at a limit. Medians of five pairs, each in a process of its own; speed is the median
 of what pairs differ by, 1 for as fast as the library. Elapsed time has the wait until the file is safe on the disk,
 for which the library does not wait. Written by `python docs/formats.py --convert 3000000`.
 

@@ -25,6 +25,7 @@ from aerobalance.io.hdf5_layout import (
     lay_out,
     status_row,
 )
+from aerobalance.io.measure import without_infinities
 from aerobalance.io.safe_write import replacing
 from aerobalance.recording.channel import Array
 
@@ -120,20 +121,25 @@ class _Rows:
         at = 0
         while at < stamps.size and self._disk.failure is None:
             count = min(self._rows - self._filled, stamps.size - at)
-            own, part = slice(self._filled, self._filled + count), slice(at, at + count)
+            part = slice(at, at + count)
+            at = part.stop
+            if count == self._rows:  # a whole block, which need not be collected
+                self._write([values[part] for values in given], stamps[part])
+                continue
+            own = slice(self._filled, self._filled + count)
             self._stamps[own] = stamps[part]
             for column, values in enumerate(given):
                 self._table[column, own] = values[part]
-            self._filled, at = own.stop, part.stop
+            self._filled = own.stop
             if self._filled == self._rows:
-                self._write()
+                self._write_collected()
         self._file.flush()
 
     def finish(self) -> None:
         """Write the rows that are left, the index of the blocks, and the status that the record has ended."""
         if self._filled:
             self._grow(self._written + self._filled)
-            self._write()
+            self._write_collected()
         if self._disk.failure is not None:
             return  # raised when the guarded file is closed
         blocks = np.array(self._blocks, dtype=BLOCK)
@@ -149,19 +155,27 @@ class _Rows:
             self._samples.resize((rows, len(self._channels)))
             self._time.resize((rows,))
 
-    def _write(self) -> None:
-        """Write the collected block, with its checksums."""
-        self._table[:, self._filled :] = np.nan  # a chunk is whole; the file ends in the middle of the last
-        self._table[~np.isfinite(self._table)] = np.nan
-        for column, values in enumerate(self._table):  # past the selections of the library, which take longer
-            self._samples.id.write_direct_chunk((self._written, column), values.data)
-        place = slice(self._written, self._written + self._filled)
-        self._time[place] = self._stamps[: self._filled]
-        own = [zlib.crc32(values[: self._filled].data) for values in self._table]
-        whole = checksum_of_checksums(place.start, self._filled, np.array(own, dtype=np.uint32))
+    def _write_collected(self) -> None:
+        """Write the rows that were collected as a block."""
+        self._write(list(self._table[:, : self._filled]), self._stamps[: self._filled])
+        self._filled = 0
+
+    def _write(self, columns: Sequence[Array], stamps: Array) -> None:
+        """Write a block, with its checksums."""
+        place = slice(self._written, self._written + stamps.size)
+        own = []
+        for column, given in enumerate(columns):
+            values = np.ascontiguousarray(without_infinities(given), dtype="<f8")
+            own.append(zlib.crc32(values.data))
+            if values.size < self._rows:  # a chunk is whole; the file ends in the middle of the last
+                values = np.concatenate([values, np.full(self._rows - values.size, np.nan)])
+            # past the selections of the library, which take longer
+            self._samples.id.write_direct_chunk((place.start, column), values.data)
+        self._time[place] = stamps
+        whole = checksum_of_checksums(place.start, stamps.size, np.array(own, dtype=np.uint32))
         self._checksums.append(own)
-        self._blocks.append((place.start, self._filled, whole, clock.time()))
-        self._written, self._filled = place.stop, 0
+        self._blocks.append((place.start, stamps.size, whole, clock.time()))
+        self._written = place.stop
 
 
 def _stored(
