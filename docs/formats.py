@@ -521,8 +521,9 @@ Files of twelve channels of {samples} samples with their times, converted by `ae
 format, beside the library of the format alone, which reads such a file and writes what it has read; files of HDF5,
 MATLAB and NetCDF are as the library writes them. HDF5 is written as own HDF5, whose checksums the library has not;
 what is read is looked through for what is missing, beyond all measure or at a limit. Medians of five pairs, each in
-a process of its own; speed is the median of what pairs differ by, 1 for as fast as the library. Elapsed time has the wait until the file is safe on the disk,
-for which the library does not wait. Written by `python docs/formats.py --convert 3000000`.
+a process of its own; speed is the median of what pairs differ by, 1 for as fast as the library. Elapsed time has the
+wait until the file is safe on the disk, for which the library does not wait. Written by `python docs/formats.py
+--convert 3000000`.
 
 | format | library | processor time, library: s | `convert`: s | speed | elapsed, library: s | `convert`: s | speed |
 |---|---|---|---|---|---|---|---|
