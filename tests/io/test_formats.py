@@ -113,6 +113,16 @@ def test_a_proposed_map_says_how_many_channels_wait_for_a_person(tmp_path, capsy
     assert f"map of {count} columns, {count} wait for a person" in capsys.readouterr().out
 
 
+def test_a_message_lists_the_first_of_many_columns(tmp_path) -> None:
+    path, toml = tmp_path / "a.csv", tmp_path / "map.toml"
+    names = [f"column {number} {'x' * 100}" for number in range(1, 31)]
+    path.write_text(f"{','.join(names)}\n" + "\n".join(",".join("1" * 30) for _ in range(9)) + "\n")
+    toml.write_text('[file]\nrate = 10\n[channels.AF]\ncolumn = "AF"\nunit = "N"\n')
+    with pytest.raises(ReadError, match="and 10 more") as problem:
+        read(path, channel_map=load_channel_map(toml))
+    assert len(str(problem.value).replace(str(path), "")) < 1500
+
+
 def test_matrices_are_columns_by_number(tmp_path) -> None:
     from scipy.io import savemat
 

@@ -21,6 +21,10 @@ Append = Callable[[Mapping[str, Array]], None]
 PIECE: Final = 1 << 16
 """Samples that are read or looked at at once, where all of them would take too much room."""
 
+LISTED: Final = 20
+LONGEST_LABEL: Final = 40
+"""Columns that a message lists at most, and letters of each."""
+
 _SQUARE: Final = re.compile(r"(?P<name>.*?)\s*\[(?P<unit>[^\[\]]*)\]\s*")
 _ROUND: Final = re.compile(r"(?P<name>.*?)\s*\((?P<unit>.*)\)\s*")
 
@@ -157,8 +161,10 @@ class RawColumns:
         return len(self.lines)
 
     def labels(self) -> str:
-        """List the columns for an error message."""
-        return ", ".join(repr(column.label) for column in self.columns)
+        """List the columns for an error message: the first of them, each as far as it can be read at a glance."""
+        listed = ", ".join(repr(column.label[:LONGEST_LABEL]) for column in self.columns[:LISTED])
+        more = len(self.columns) - LISTED
+        return f"{listed} and {more} more" if more > 0 else listed
 
     def find(self, key: str | int, *, where: str) -> RawColumn:
         """Return a column by its label, its name or its number.
