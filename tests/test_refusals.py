@@ -299,3 +299,8 @@ def test_equations_that_nothing_meets_have_no_adjustment():
 
 def test_a_pole_that_does_not_decay():
     refused(lambda: one_of_pole(1 + 100j, "AF", mass=1.0), "does not decay", FitError)
+
+
+def test_a_result_in_the_place_of_its_file(tmp_path):
+    with pytest.raises(TypeError, match=r"path of the file comes first, write\(path, result\); it is no Recording"):
+        ab.write(ab.Recording.from_arrays(np.arange(8) / 10, {"AF": np.zeros(8)}, name="run"), tmp_path / "run.h5")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from os import PathLike
 from pathlib import Path
 from typing import Final
 
@@ -50,9 +51,13 @@ def write(path: Path | str, result: Result, *, inputs: Sequence[Path | str] = ()
 
     Raises
     ------
+    TypeError
+        The path is not one.
     ValueError
         The result is none of these, the ending is not one of its formats, or the file cannot be written.
     """
+    if not isinstance(path, str | PathLike):
+        raise TypeError(f"the path of the file comes first, write(path, result); it is no {type(path).__name__}")
     file = Path(path)
     if isinstance(result, Recording):
         write_recording(file, result)
