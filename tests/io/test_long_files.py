@@ -334,8 +334,9 @@ def test_monte_carlo_of_a_long_record_is_of_one_part(folder, in_parts, tmp_path,
 def test_a_part_is_large_enough_for_one_component():
     record = Recording.from_columns(np.arange(360_000) / RATE, {"AF": Channel("AF", np.zeros(360_000), "N")})
     parts = DIVISION.parts(record, dynamics_of(T128))
+    assert DIVISION.length(dynamics_of(T128)) == 344_064
     assert len(parts) == 2
-    assert parts[0].end == 344_064
+    assert parts[0].end == 184_320  # (360 000 + 2 * 4096) / 2, and the next number without large factors
 
 
 # --- writing, progress, Ctrl-C

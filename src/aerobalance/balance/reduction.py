@@ -24,6 +24,7 @@ from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import corrected
 
 
+@one_blas_thread()
 def reduce_outputs(
     recording: Recording,
     balance: BalanceMatrix | Calibration,

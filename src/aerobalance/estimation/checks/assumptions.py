@@ -55,6 +55,8 @@ class AssumptionSettings:
         Effect of an angle's zero, or a natural frequency, over the scatter of the force, from which it is told.
     told
         Its standard uncertainty by the record, over that, up to which the record tells it.
+    rounding
+        Effect over the force that is no more than rounding.
     band
         Density of a force over its largest from which on it has power to show a natural frequency with.
     """
@@ -67,6 +69,7 @@ class AssumptionSettings:
     mass: float = 0.01
     matters: float = 0.1
     told: float = 0.5
+    rounding: float = 1e-9
     band: float = 1e-4
 
 
@@ -176,7 +179,8 @@ def _of_single(record: SingleRecord, fit: SmootherResult, unit: str) -> Iterator
     other = own.retuned(frequency=1 + SETTINGS.frequency, damping=1.0)
     error = error_under(fit.force, own=own, other=other, interval=record.interval)
     effect = float(np.sqrt(np.mean(error**2)))
-    if effect < SETTINGS.matters * float(np.sqrt(np.mean(fit.variance))):
+    rounding = SETTINGS.rounding * float(np.sqrt(np.mean(fit.force**2)))
+    if effect <= max(SETTINGS.matters * float(np.sqrt(np.mean(fit.variance))), rounding):
         return
     shown = _shown_by(record, fit, other)
     known = instant_columns(fit.reading, fit.steps, heights=[step.height for step in fit.steps])[0]
