@@ -19,7 +19,7 @@ from aerobalance.io import (
     column_names,
     format_library,
     load_channel_map,
-    mat_file,
+    mat_write,
     read,
     series_values,
     template,
@@ -444,7 +444,7 @@ def test_a_matlab_file_of_more_or_fewer_rows_than_expected(tmp_path, expected) -
     from scipy.io import loadmat
 
     path = tmp_path / "a.mat"
-    with mat_file.appending(path, ["time [s]", "AF [N]", "pitch [deg]"], rows=expected) as append:
+    with mat_write.appending(path, ["time [s]", "AF [N]", "pitch [deg]"], rows=expected) as append:
         for begin in range(0, TIME.size, 70):
             part = slice(begin, begin + 70)
             append({"time [s]": TIME[part], "AF [N]": LOAD[part], "pitch [deg]": PITCH[part]})
@@ -455,11 +455,11 @@ def test_a_matlab_file_of_more_or_fewer_rows_than_expected(tmp_path, expected) -
 
 
 def test_a_variable_beyond_what_matlab_5_can_hold_is_refused(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr(mat_file, "_LARGEST", 8 * 1000)
+    monkeypatch.setattr(mat_write, "_LARGEST", 8 * 1000)
     path = tmp_path / "a.mat"
     with (
         pytest.raises(ValueError, match=r"a variable of MATLAB 5 has at most 2 GB; write .h5 or .parquet"),
-        mat_file.appending(path, ["time [s]", "AF [N]"], rows=5000) as append,
+        mat_write.appending(path, ["time [s]", "AF [N]"], rows=5000) as append,
     ):
         for _ in range(3):
             append({"time [s]": TIME, "AF [N]": LOAD})

@@ -18,6 +18,9 @@ PACKED: Final = 15
 COMPLEX: Final = 0x800
 """Mark of a variable of complex numbers."""
 
+TABLES: Final = ("unit", "units", "names", "sensors", "epoch")
+"""Variables that say of the others what they are, and are no channels themselves."""
+
 _TYPES: Final = (1, 2, 3, 4, 5, 6, 7, 9, 12, 13, 14, 16, 17, 18)
 _NUMBERS: Final = (1, 2, 3, 4, 5, 6, 7, 9, 12, 13)
 _CELL, _STRUCT, _OBJECT, _CHAR, _SPARSE = 1, 2, 3, 4, 5
