@@ -104,8 +104,8 @@ def test_parts_of_a_record_are_as_long_as_each_other(samples):
     even = -(-(samples + 2 * margin * (len(parts) - 1)) // len(parts))
     assert max(lengths) <= min(8192, next_fast_len(even, real=True))
     assert len(parts) == 1 + -(-(samples - 8192) // (8192 - 2 * margin))  # no more than full parts would be
-    # n parts of a length L that is rounded up from `even`: the last lacks what all are longer by, n (L - even), and the
-    # rounding of `even`, which is less than n
+    # n parts of a length L that is rounded up from `even`: the last lacks what all are longer by, n (L - even), and
+    # the rounding of `even`, which is less than n
     assert set(lengths[:-1]) == {max(lengths)}
     assert lengths[-1] >= max(lengths) - len(parts) * (max(lengths) - even + 1)
 

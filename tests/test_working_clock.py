@@ -19,6 +19,7 @@ from aerobalance.estimation import working_clock
 from aerobalance.estimation.force import ForceWork
 from aerobalance.estimation.force_parts import Division
 from aerobalance.estimation.forces import ForceSettings
+from aerobalance.estimation.record_look import SETTINGS as LOOK
 from aerobalance.io import read, write_recording
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.channel import Channel
@@ -121,15 +122,15 @@ def test_the_look_tells_how_far_the_resonance_is_above_the_noise(rng) -> None:
     noise = NOISE * rng.normal(size=count)
     f0 = T128.modes[0].natural_frequency
     # what the window of 2048 samples shows of the resonance, closed form: its own power spectrum times the response's
-    fine = np.arange(-40, 40, 0.01) / (working_clock.SETTINGS.segment / RATE)
-    line = round(f0 * working_clock.SETTINGS.segment / RATE) / working_clock.SETTINGS.segment * RATE
-    x = fine * working_clock.SETTINGS.segment / RATE
+    fine = np.arange(-40, 40, 0.01) / (LOOK.segment / RATE)
+    line = round(f0 * LOOK.segment / RATE) / LOOK.segment * RATE
+    x = fine * LOOK.segment / RATE
     hann = (np.sinc(x) + 0.5 * (np.sinc(x - 1) + np.sinc(x + 1))) ** 2
     seen = float(np.sum(hann * np.abs(T128.response(np.abs(line + fine))) ** 2) / np.sum(hann))
     expected = seen * 10.0**2 / NOISE**2
     (shown,) = work(recording(load + noise)).working.shown
-    # the least of 16 blocks of 1.28 s, in which a resonance that decays at 2.3 1/s has three independent amplitudes: of
-    # chi-squared numbers of six degrees of freedom, over these, the least of 16 is below 0.05 once in a hundred
+    # the least of 16 blocks of 1.28 s, in which a resonance that decays at 2.3 1/s has three independent amplitudes:
+    # of chi-squared numbers of six degrees of freedom, over these, the least of 16 is below 0.05 once in a hundred
     assert 0.05 * expected < shown < expected
     quiet = load * (np.abs(np.arange(count) - count / 2) > 1 << 16)
     (shown,) = work(recording(quiet + noise)).working.shown
