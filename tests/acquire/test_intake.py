@@ -241,6 +241,21 @@ def test_a_record_begins_where_it_was_asked_for(before, first) -> None:
     assert np.concatenate([piece.samples for piece in pieces])[:, 0].tolist() == list(range(first, 400))
 
 
+@pytest.mark.parametrize("clocked", [True, False])
+def test_blocks_that_came_late_do_not_move_the_beginning(clocked, rng) -> None:
+    """All blocks but one of 200 come 0.01 s to 0.3 s late; where no clock gives them, the block itself is believed."""
+    intake = Intake(RecordPlan(CHANNELS, 1000.0, 64), clocked=clocked, asked=3.0)
+    late = np.concatenate([np.linspace(0.3, 0.0, 31), rng.uniform(0.01, 0.3, 169)])
+    received = np.maximum.accumulate(np.arange(1, 201) * 0.04 + late)
+    made = []
+    for tick, at in zip(range(0, 8000, 40), received, strict=True):
+        made += intake.feed(Block(tick, truth(np.arange(tick, tick + 40)), at))
+    begun = next(item for item in made if isinstance(item, RecordStart))
+    of_block = next(k for k, at in enumerate(received) if at >= 3.0)
+    by_block = 3000 - round((received[of_block] - (of_block + 1) * 0.04) * 1000)
+    assert begun.tick == (3000 if clocked else max(by_block, 40 * of_block))
+
+
 def test_a_record_says_that_it_begins_after_it_was_asked_for() -> None:
     intake = Intake(RecordPlan(CHANNELS, 1000.0, 64), asked=0.15)
     made = intake.feed(Block(400, truth(np.arange(400, 440)), 0.44))

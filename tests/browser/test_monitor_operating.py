@@ -46,15 +46,17 @@ def test_the_record_button_answers_at_once(opened, operator) -> None:
     assert shown["line"] == "Prüfling µ.h5: starting; what is sampled since the press is in it"
     pressed = operator.number("pressed")
     operator.until("window.aerobalance.record === 'recording'")
-    # which sample was taken when: from the newest one of a frame, and the time that it came
+    # which sample was taken when: of a second's frames the one that came with the least delay, as none comes early
     tick, ms = view.evaluate(
-        """() => new Promise((resolve) => { const socket = new WebSocket(`ws://${location.host}/live`);
+        """() => new Promise((resolve) => { const socket = new WebSocket(`ws://${location.host}/live`), came = [];
           socket.binaryType = "arraybuffer";
           socket.onmessage = ({ data }) => { if (typeof data === "string") return;
             const bytes = new DataView(data);
             if (bytes.getUint8(0) !== 1) return;
-            socket.close();
-            resolve([bytes.getFloat64(32, true), bytes.getFloat64(16, true)]); }; })"""
+            came.push([bytes.getFloat64(32, true), bytes.getFloat64(16, true)]); };
+          setTimeout(() => { socket.close();
+            const early = ([tick, ms]) => tick - 1.6 * ms;
+            resolve(came.reduce((best, at) => (early(at) > early(best) ? at : best))); }, 1000); })"""
     )
     view.click("#stop-now")
     operator.until("window.aerobalance.record === 'ended'")

@@ -68,6 +68,9 @@ class Continuity:
     expected: int | None = None
     shift: int = 0
     last: float = 0.0
+    _least: float = float("inf")  # least delay of arrival of this window of time, and of that before it [s]
+    _before: float = float("inf")
+    _until: float = -float("inf")  # when this window ends, on the steady clock [s]
     _first: float | None = None
     _early: float = float("inf")
     _late: float = float("inf")
@@ -77,8 +80,16 @@ class Continuity:
     def tick_at(self, at: float | None) -> int:
         """Tick of the sample of a time on the steady clock [s], as far as there is one yet; of the next for None."""
         expected = self.expected or 0
-        late = 0 if at is None else round((self.last - at) * self.rate)
-        return max(0, expected - max(0, late))
+        return expected if at is None else min(max(0, self.sampled_at(at)), expected)
+
+    def sampled_at(self, at: float) -> int:
+        """Tick of the sample of a time on the steady clock [s], whether it has come or not.
+
+        By the least delay of arrival of the last `DRIFT_WATCHED`: a computer that is busy takes blocks late, never
+        early. Where samples come by no clock, by the last block alone.
+        """
+        delay = min(self._least, self._before) if self.clocked else self.last - (self.expected or 0) / self.rate
+        return round((at - delay) * self.rate)
 
     def follow(self, block: Block) -> Watched:
         """Put a block in its place: samples that came before are taken off, missing ones are counted."""
@@ -105,6 +116,9 @@ class Continuity:
             events.append(Event(tick, "source", block.remark))
         block = replace(block, tick=tick)
         self.expected, self.last = block.end, block.received
+        if gap is not None and gap.kind == "restart":
+            self._before = self._least = float("inf")
+        self._follow_delay(block)
         if gap is not None:
             self._first, self._early, self._late, self._noted = None, float("inf"), float("inf"), 0.0
         if self.clocked:
@@ -120,6 +134,13 @@ class Continuity:
         self.shift += place - tick
         text = f"{block.remark or 'the count of the source went back'}; length from the computer's clock"
         return LostSamples(expected, missing, "restart", text), place
+
+    def _follow_delay(self, block: Block) -> None:
+        """Take the delay of a block's arrival into the least one of its window of time."""
+        if block.received > self._until:
+            self._until = block.received + DRIFT_WATCHED / 2
+            self._before, self._least = self._least, float("inf")
+        self._least = min(self._least, block.received - block.end / self.rate)
 
     def _drift(self, block: Block) -> list[Event]:
         """Compare the least delays of arrival of two windows of time: delays vary, the least ones hardly do."""

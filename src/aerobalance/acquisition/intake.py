@@ -253,13 +253,15 @@ class Intake:
             return 0
         if block.received < self._asked:
             return rows
-        early = rows - round((block.received - self._asked) * self.plan.rate)
+        early = self.continuity.sampled_at(self._asked) - block.tick
+        if early >= rows:
+            return rows
         self._asked = None
         if -early > LATE * self.plan.rate:
             self._late = (
                 f"; {-early / self.plan.rate:.2f} s after it was asked for, as there are no samples from before"
             )
-        return min(max(early, 0), rows)
+        return max(early, 0)
 
     def _begins(self, block: Block, values: Array, early: int) -> int | None:
         if early == block.samples.shape[0]:
