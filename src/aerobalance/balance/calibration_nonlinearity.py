@@ -85,8 +85,9 @@ class NonlinearErrors:
         count = 0
         for part in _nonlinear_parts(native, matrix, size=size):
             transform = rfft(part, axis=0)[:kept]
+            halves = transform.real.copy(), transform.imag.copy()  # two real products for a complex one
             for bridge, covariance in enumerate(matrix.covariance):
-                power[:, bridge] += np.real(np.sum((transform @ covariance) * transform.conj(), axis=1))
+                power[:, bridge] += sum(np.einsum("ft,ft->f", half @ covariance, half) for half in halves)
             count += 1
         shift = _rectified(native, matrix)
         held = np.array([shift @ covariance @ shift for covariance in matrix.covariance])

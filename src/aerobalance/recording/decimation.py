@@ -43,6 +43,9 @@ SHARPNESS: Final = 12.0
 """Parameter beta of the Kaiser window of that interpolation: its error is below 4e-6 of the amplitude of a sine, up to
 1 - ROLL_OFF of the Nyquist frequency."""
 
+_INTERPOLATED_AT_ONCE: Final = 1 << 12
+"""Samples of the slow clock that are interpolated together: their windows stay in the cache."""
+
 CLEAN: Final = 1e-10
 """As `BAND_NOISE`, for the interpolation beside an end [1]."""
 
@@ -195,11 +198,13 @@ class Decimation:
         padded = np.zeros(high - low)
         known = slice(max(low, first), min(high, first + series.size))
         padded[known.start - low : known.stop - low] = series[known.start - first : known.stop - first]
-        windows = sliding_window_view(padded, 2 * BETWEEN)[: end - begin]
-        between = (windows @ _weights_between(factor).T).ravel()
+        windows, weights = sliding_window_view(padded, 2 * BETWEEN)[: end - begin], _weights_between(factor).T
         out = np.empty(span.stop - span.start)
         ahead = self.before + begin * factor - span.start
-        out[ahead : ahead + between.size] = between[: out.size - ahead]
+        for at in range(0, end - begin, _INTERPOLATED_AT_ONCE):  # of all at once the windows were copied whole
+            between = (windows[at : at + _INTERPOLATED_AT_ONCE] @ weights).ravel()
+            place = ahead + at * factor
+            out[place : place + between.size] = between[: max(out.size - place, 0)]
         places = np.arange(span.start, span.stop) - self.before
         if begin == 0:
             near = places < BETWEEN * factor
