@@ -55,6 +55,8 @@ class AssumptionSettings:
         Effect of an angle's zero, or a natural frequency, over the scatter of the force, from which it is told.
     told
         Its standard uncertainty by the record, over that, up to which the record tells it.
+    first
+        Samples of a record that are asked first whether they tell it.
     rounding
         Effect over the force that is no more than rounding.
     band
@@ -69,6 +71,7 @@ class AssumptionSettings:
     mass: float = 0.01
     matters: float = 0.1
     told: float = 0.5
+    first: int = 1 << 15
     rounding: float = 1e-9
     band: float = 1e-4
 
@@ -140,7 +143,12 @@ def _of_angles(record: ComponentRecord, unit: str, *, least: float) -> Iterator[
     Run and zero at one attitude have the same error, so that none is left; effects below `least` are not told.
     """
     recording, name = record.recording, record.dynamics.component
-    if any(channel.coupling == "dc" for channel in recording):
+    exact = [
+        angle
+        for angle in ("pitch", "roll")
+        if angle in recording and not recording.channel(angle).zero_uncertainty > 0
+    ]
+    if not exact or any(channel.coupling == "dc" for channel in recording):
         return
     still = np.zeros(recording.samples)
     angles = {
@@ -148,9 +156,7 @@ def _of_angles(record: ComponentRecord, unit: str, *, least: float) -> Iterator[
         for angle in ("pitch", "roll")
     }
     slopes = Gravity.of(angles["pitch"], angles["roll"], gravity=STANDARD_GRAVITY).slopes
-    for angle in angles:
-        if angle not in recording or recording.channel(angle).zero_uncertainty > 0:
-            continue
+    for angle in exact:
         slope = slopes[angle] - recording.gravity_on_zero.slope(f"{angle} zero")
         single = moves_along_axis(record)
         item = SystematicParameter("", "", slope[:, driven_column(name)] if single else slope, 0.0)
@@ -184,13 +190,15 @@ def _of_single(record: SingleRecord, fit: SmootherResult, unit: str) -> Iterator
         return
     shown = _shown_by(record, fit, other)
     known = instant_columns(fit.reading, fit.steps, heights=[step.height for step in fit.steps])[0]
-    try:
-        _, covariance, _ = generalised_least_squares(fit.filter, fit.reading.filled, np.column_stack([known, shown]))
-    except FitError:
-        return
-    u = float(np.sqrt(covariance[-1, -1]))
-    if 0 < u < SETTINGS.told:
-        return
+    columns, readings = np.column_stack([known, shown]), fit.reading.filled
+    for count in sorted({min(SETTINGS.first, readings.size), readings.size}):  # most records tell it soon
+        filter_ = fit.filter.over(fit.reading.present[:count])
+        try:
+            _, covariance, _ = generalised_least_squares(filter_, readings[:count], columns[:count])
+        except FitError:
+            return
+        if 0 < float(np.sqrt(covariance[-1, -1])) < SETTINGS.told:
+            return
     text = (
         f"the natural frequency of {name} is {own.natural_frequency:.5g} Hz, which this record does not tell: "
         f"{100 * SETTINGS.frequency:g} % more or less would change the force by {{}}"
