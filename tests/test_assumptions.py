@@ -19,9 +19,12 @@ from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.analog_filter import AntiAlias
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.doubts import Assumption
 from aerobalance.recording.errors import DataQualityWarning
+from aerobalance.recording.recording import Recording
 from faults.cases import Case, all_cases, dynamics
 from faults.trials import recording_of, worked_out
+from helpers.cable_cut import T128
 
 CASES = {case.name: case for case in all_cases()}
 
@@ -188,3 +191,21 @@ def test_several_components_are_told_in_one_line():
     }
     lines = [line for line in force_text(found).split("\n") if line.startswith("assumed")]
     assert lines == ["assumed: of AF (alike for NF)"]  # ten times its uncertainty, and twice that of NF
+
+
+@pytest.mark.parametrize("first", [True, False])
+def test_where_no_readings_are_up_to_an_end_the_load_is_assumed(first: bool, rng) -> None:
+    """400 N all along, of 4000 samples 1000 without readings at an end: without a load there 400 N / 2 rms."""
+    read = 400.0 + rng.normal(0, 2.0, 4000)
+
+    def assumed(missing: slice) -> list[Assumption]:
+        values = read.copy()
+        values[missing] = np.nan
+        channels = {"AF": Channel("AF", values, "N")}
+        run = Recording.from_columns(np.arange(4000) / 1600.0, channels, name="run")
+        return [one for one in ab.estimate_force(run, T128).assumed if one.kind == "no readings"]
+
+    (told,) = assumed(slice(0, 1000) if first else slice(3000, 4000))
+    assert told.effect == pytest.approx(200.0, rel=0.01)
+    assert ("from 0 s to 0.625 s" if first else "from 1.875 s to 2.5 s") in told.text
+    assert not assumed(slice(1000, 2000))  # readings follow, which show a step in it

@@ -15,7 +15,7 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.evidence import Evidence
 from aerobalance.estimation.checks.mains_hum import hum_doubts
-from aerobalance.estimation.checks.resolution import resolution_doubt, rounding_error, step_of
+from aerobalance.estimation.checks.resolution import resolution_doubt, rounding_error
 from aerobalance.estimation.checks.resonance_change import ResonanceChange, resonance_changes
 from aerobalance.estimation.checks.resonance_change import _told as change_told
 from aerobalance.estimation.error_sources import Noise
@@ -29,6 +29,7 @@ from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.doubts import KINDS, Doubt, Size, Verdict, of_all_parts, verdict_of
 from aerobalance.recording.errors import DataQualityWarning
+from aerobalance.recording.noise import step_of
 from aerobalance.recording.recording import Recording
 from faults.cases import Case, all_cases
 from faults.scene import FREQUENCY

@@ -96,6 +96,22 @@ def test_what_rests_by_its_nature_is_not_stuck(rng):
         assert not stuck_samples(values).any()
 
 
+@pytest.mark.parametrize("digits", [None, 9, 6, 3])
+def test_a_step_without_noise_rests_before_it_and_is_not_stuck(digits):
+    """As simulated, and as that is written to a text file with some digits after the point."""
+    values = 700 * T128.step_response(TIME - 1.0001)
+    assert not stuck_samples(values if digits is None else np.round(values, digits)).any()
+
+
+def test_with_noise_of_a_step_of_the_converter_it_was_stuck(rng):
+    """Noise of half a step, 24 bits: of two readings of a still load four in ten are equal, and 1600 never."""
+    values = 700 * T128.step_response(TIME - 1.0001)
+    step = 10 * np.ptp(values) / 2**24
+    noisy = step * np.round((values + rng.normal(0, 0.5 * step, TIME.size)) / step)
+    noisy[:1601] = noisy[0]
+    assert np.flatnonzero(stuck_samples(noisy))[:1600].tolist() == list(range(1, 1601))
+
+
 def test_an_angle_that_rests_is_not_stuck(rng):
     pitch = np.where(TIME < 1.2, 0.0, 0.1)
     channels = {"AF": Channel("AF", ringing(rng), "N"), "pitch": Channel("pitch", pitch, "rad")}

@@ -21,7 +21,7 @@ from aerobalance.estimation.checks.ground_doubts import ground_doubts
 from aerobalance.estimation.checks.ground_witnesses import SETTINGS as GROUND_CHANNELS
 from aerobalance.estimation.checks.mains_hum import hum_doubts
 from aerobalance.estimation.checks.model_error import as_noise
-from aerobalance.estimation.checks.resolution import resolution_doubt, rounding_error, step_of
+from aerobalance.estimation.checks.resolution import resolution_doubt, rounding_error
 from aerobalance.estimation.checks.unexplained import excess_of, missed_force, sudden_excess
 from aerobalance.estimation.direct import band_limited, central_differences, missed
 from aerobalance.estimation.error_sources import Contribution
@@ -48,6 +48,7 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import FitError, argument, warn_quality
+from aerobalance.recording.noise import step_of
 
 Method = Literal["smoother", "paper"]
 

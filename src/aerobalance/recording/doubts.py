@@ -99,7 +99,7 @@ class Assumption:
     ----------
     kind
         What it is: ``"load filter"``, ``"gain"``, ``"zero"``, ``"pitch zero"``, ``"roll zero"``, ``"mass"``,
-        ``"cross-axis"``, ``"natural frequency"``, ``"colored noise"`` or ``"hum"``.
+        ``"cross-axis"``, ``"natural frequency"``, ``"no readings"``, ``"colored noise"`` or ``"hum"``.
     component
         Component whose force is meant.
     text

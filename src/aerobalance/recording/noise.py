@@ -30,6 +30,12 @@ ENOUGH: Final = 1 << 15
 FEWEST: Final = 64
 """Readings below which the correlation of two channels' noise cannot be told."""
 
+MOST_VALUES: Final = 4096
+"""Different readings up to which it is looked whether they are steps of a converter."""
+
+EXACT: Final = 1e-6
+"""Departure from whole steps, over a step, that is rounding."""
+
 
 def white_noise(values: Array) -> float:
     """Standard deviation of the white noise of a channel [unit of the channel].
@@ -59,6 +65,18 @@ def white_noise(values: Array) -> float:
     # the third difference of white noise has twenty times its variance
     calm = float(np.median(np.abs(np.diff(present, 3)))) / (ndtri(0.75) * np.sqrt(20))
     return calm if 0 < calm < CLEARLY_LOWER * spectral else spectral
+
+
+def step_of(values: Array) -> float:
+    """Step of the converter that readings (n,) come from, in their unit; 0 where none is seen."""
+    some = np.unique(values[np.isfinite(values)])
+    if not 2 <= some.size <= MOST_VALUES:
+        return 0.0
+    apart = np.diff(some)
+    step = float(apart.min())
+    number = apart / step
+    rounding = 4 * np.finfo(np.float64).eps * float(np.max(np.abs(some))) / step
+    return step if np.all(np.abs(number - np.round(number)) < EXACT * number + rounding) else 0.0
 
 
 def channel_noise(channel: Channel) -> float:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from math import comb
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.recording.channel import Array
+from aerobalance.recording.noise import MOST_VALUES, step_of
 
 MOST_EQUAL: Final = 0.05
 """Probability that a reading equals the one before, above which runs say nothing: the channel is coarsely resolved, or
@@ -21,6 +23,23 @@ FEWEST_CHANGES: Final = 8
 
 CHANCE: Final = 1e-9
 """Probability that a run as long comes about by chance anywhere in the record."""
+
+ORDER: Final = 12
+"""Order of the differences that show noise: of what is smooth over so many samples they leave next to nothing."""
+
+NO_NOISE: Final = 1e-8
+"""Noise over the range of the readings below which they are computed, and none is stuck: a tenth of what the steps of
+a converter of 24 bits leave in readings that use a tenth of its range."""
+
+RESTS: Final = 0.32
+"""Noise over the step of the readings, the rounding to it (0.29) included, below which a steady load leaves them at
+rest: beside rounding that is noise of 0.14 of a step, which crosses half a step once in four thousand readings."""
+
+FEWEST_DIFFERENCES: Final = 50
+"""Differences that tell the noise, at least."""
+
+MOST_DIFFERENCES: Final = 1 << 16
+"""The same at most."""
 
 
 def is_dead(values: Array) -> bool:
@@ -39,7 +58,8 @@ def stuck_samples(values: Array) -> NDArray[np.bool_]:
     """Return which readings repeat the one before them in a run that is no chance, shape (n,).
 
     The first reading of a run may be sound and is kept. None is told of a channel that never changes (`is_dead`), or
-    whose readings rest now and then by their nature: of an encoder, or held between those of a slower converter.
+    whose readings rest now and then by their nature: of an encoder, held between those of a slower converter, or
+    without noise, computed or below the step of the converter, which rest until the load changes.
 
     Parameters
     ----------
@@ -64,4 +84,19 @@ def stuck_samples(values: Array) -> NDArray[np.bool_]:
     for start, stop in zip(first, last, strict=True):
         if stop - start + 1 > longest:
             found[start + 1 : stop + 1] = True
+    if found.any() and _has_no_noise(values):
+        found[:] = False
     return found
+
+
+def _has_no_noise(values: Array) -> bool:
+    """Whether the readings have no noise, but for rounding to their steps."""
+    differences = np.diff(values, n=ORDER)
+    changed = np.flatnonzero(differences)[:MOST_DIFFERENCES]
+    differences = differences[changed]
+    differences = differences[np.isfinite(differences)]
+    if differences.size < FEWEST_DIFFERENCES:
+        return False
+    noise = float(np.median(np.abs(differences))) / np.sqrt(comb(2 * ORDER, ORDER))
+    step = step_of(values[changed[:MOST_VALUES]])
+    return bool(noise < max(NO_NOISE * float(np.nanmax(values) - np.nanmin(values)), RESTS * step))

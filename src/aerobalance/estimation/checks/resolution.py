@@ -18,14 +18,7 @@ import numpy as np
 
 from aerobalance.estimation.error_sources import Noise
 from aerobalance.estimation.prior import Observation, SpectralPrior
-from aerobalance.recording.channel import Array
 from aerobalance.recording.doubts import Doubt
-
-MOST_VALUES: Final = 4096
-"""Different readings up to which it is looked whether they are steps of a converter."""
-
-EXACT: Final = 1e-6
-"""Departure from whole steps, over a step, that is rounding."""
 
 MATTERS: Final = 1.2
 """Step over the noise of a reading from which on the error of rounding is correlated: exp(-2 pi^2 / 1.44) is 1e-6."""
@@ -38,18 +31,6 @@ POINTS: Final = 1 << 14
 
 DOUBTED: Final = 0.25
 """Rms of the error over the rest of the uncertainty from which on it is told."""
-
-
-def step_of(values: Array) -> float:
-    """Step of the converter that readings (n,) come from, in their unit; 0 where none is seen."""
-    some = np.unique(values[np.isfinite(values)])
-    if not 2 <= some.size <= MOST_VALUES:
-        return 0.0
-    apart = np.diff(some)
-    step = float(apart.min())
-    number = apart / step
-    rounding = 4 * np.finfo(np.float64).eps * float(np.max(np.abs(some))) / step
-    return step if np.all(np.abs(number - np.round(number)) < EXACT * number + rounding) else 0.0
 
 
 def rounding_error(reading: Observation, learned: SpectralPrior, *, step: float) -> Noise | None:
