@@ -14,6 +14,7 @@ from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.prior import (
     Observation,
     SpectralPrior,
+    evenly_weighted,
     fit_prior,
     generalised_least_squares,
     least_squares,
@@ -405,3 +406,38 @@ def test_a_search_in_a_record_of_another_balance_ends_and_the_balance_is_doubted
     steps = force.steps
     assert "natural frequency" in {doubt.kind for doubt in force.doubts}
     assert len(steps) <= 1 + step_search.SETTINGS.echoes
+
+
+def swept(
+    rng: np.random.Generator, *, first: float, last: float, seconds: float = 2.5
+) -> tuple[Recording, np.ndarray]:
+    """A sine of 200 N whose frequency grows evenly with time [Hz], with 2 N of noise, and the force at its samples."""
+    fine = 32
+    time = np.arange(round(seconds * RATE) * fine) / (fine * RATE)
+    force = 200.0 * np.sin(2 * np.pi * (first + (last - first) * time / (2 * seconds)) * time)
+    load = T128.balance_load(force, interval=1 / (fine * RATE))[::fine]
+    values = load + rng.normal(0, 2.0, load.size)
+    run = Recording.from_columns(np.arange(load.size) / RATE, {"AF": Channel("AF", values, "N")}, name="sweep")
+    return run, force[::fine]
+
+
+@pytest.mark.parametrize(("first", "last"), [(1.0, 200.0), (40.0, 100.0), (2.0, 50.0)])
+@pytest.mark.soak(first=2)
+def test_a_sweep_through_the_resonance_is_no_shocks_and_no_other_balance(first, last, rng) -> None:
+    """Against the band-limited inverse with the best bandwidth, chosen with the truth known."""
+    run, truth = swept(rng, first=first, last=last)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)  # its tails below a band may be told as noise that rises
+        force = estimate_force(run, T128)
+        bands = [estimate_force(run, T128, bandwidth=band) for band in np.geomspace(1.02 * last, 0.45 * RATE, 8)]
+    error = force.only.values - truth
+    best = min(float(np.sqrt(np.mean((one.only.values - truth) ** 2))) for one in bands)
+    assert np.sqrt(np.mean(error**2)) < best
+    assert force.verdict != "not usable" and len(force.only.steps) <= 1
+    # a spectrum that is constant over segments is not quite that of a sweep; of 2 B T >= 240 numbers u tells the rest
+    assert np.sqrt(np.mean(error**2) / np.mean(force.only.uncertainty**2)) < 1.25
+
+
+def test_a_load_that_is_alike_all_along_is_weighed_as_before(rng) -> None:
+    reading = smooth_reading(rng)
+    assert evenly_weighted(reading, columns=np.ones((reading.values.size, 1))) is reading

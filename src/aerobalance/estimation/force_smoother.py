@@ -14,6 +14,7 @@ from aerobalance.estimation.prior import (
     Observation,
     SpectralPrior,
     bridged,
+    evenly_weighted,
     generalised_least_squares,
     least_squares,
     whitened,
@@ -100,6 +101,7 @@ def fit_signal_model(reading: Observation, *, hum: Hum, resolution: float | None
     """
     lines, large = _hum_of(reading, reading.values, hum)
     named, floor = _looked_above(replace(reading, hum=tuple(line.frequency for line in lines)), [])
+    named = evenly_weighted(named, columns=columns_of([], named))
     search = StepSearch(named)
     steps, learned = search.run()
     if steps:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, ShapedNoise
-from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum, share_of, share_seen
+from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum, density_of, share_of, share_seen
 from aerobalance.estimation.spectra.whittle import fit_spectrum
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, StateSpace
 from aerobalance.estimation.statespace.shaping_filter import EDGE, ShapingFilter
@@ -30,6 +30,19 @@ EDGE_MOVES: Final = (0.5, 1.0, 2.0, 4.0)
 
 EDGE_EVIDENCE: Final = 3.0
 """Gain in log-likelihood of the innovations for which an edge is moved by one of them."""
+
+UNEVEN_FROM: Final = 256
+"""Samples of a record below which its ends are not looked at."""
+
+UNEVEN_BAND: Final = 32
+"""Ordinates of a band at least in which power by an even window is compared with that by a Hann window: of noise they
+differ by a fifth."""
+
+UNEVEN: Final = 4.0
+"""Ratio of the two from which on both are tried."""
+
+UNEVEN_EVIDENCE: Final = 25.0
+"""Gain in log-likelihood of the innovations for which the ends are weighed as the middle."""
 
 DEPENDENT: Final = 1e-7
 """Singular value of scaled shapes over the largest below which they depend on each other."""
@@ -62,6 +75,8 @@ class SpectralPrior:
         What the noise has beyond that; None if nothing.
     rising
         Whether the force may be stronger where the balance weakens it than elsewhere.
+    even
+        Whether the ends of the record were weighed as its middle.
     """
 
     spectrum: Spectrum
@@ -69,6 +84,7 @@ class SpectralPrior:
     noise: float
     color: ColoredNoise | ShapedNoise | None = None
     rising: bool = False
+    even: bool = False
 
     def noise_density(self, frequency: Array, *, interval: float) -> Array:
         """Two-sided density of the noise of a reading, its mean about evenly spaced frequencies [Hz], [N^2/Hz]."""
@@ -102,6 +118,8 @@ class Observation:
         Whether the force was seen to be stronger where the balance weakens it than elsewhere.
     decimated
         Samples of a faster clock that each reading was made of; 1 where none were.
+    even
+        Whether what is learned weighs the ends of the record as its middle (`evenly_weighted`).
     """
 
     values: Array
@@ -113,6 +131,7 @@ class Observation:
     color: ColoredNoise | ShapedNoise | None = None
     rising: bool = False
     decimated: int = 1
+    even: bool = False
 
     @property
     def present(self) -> NDArray[np.bool_]:
@@ -225,6 +244,38 @@ def bridged(reading: Observation, learned: SpectralPrior, *, columns: Array) -> 
     return left if present.all() else np.where(present, left, filter_.smooth(left[:, None], [LOAD])[:, 0, 0])
 
 
+def evenly_weighted(reading: Observation, *, columns: Array) -> Observation:
+    """The reading, its ends weighed as its middle where that makes it much likelier.
+
+    The window of a periodogram hides the ends of a record. Where a load sweeps through frequencies, what was there at
+    the ends is missing in the spectrum, and those readings are then taken for one shock after the other.
+
+    Parameters
+    ----------
+    reading
+        The record.
+    columns
+        Known shapes whose sizes are free, shape (n, p).
+    """
+    if not reading.present.all() or reading.values.size < UNEVEN_FROM:
+        return reading
+    left = reading.values - reading.values.mean()
+    by_hann, evenly = (density_of(left, reading.interval, even=even) for even in (False, True))
+    bands = [0]
+    while (width := max(UNEVEN_BAND, bands[-1] // 10)) <= by_hann.size - bands[-1] - UNEVEN_BAND:
+        bands.append(bands[-1] + width)
+    ratio = np.add.reduceat(evenly, bands) / np.maximum(np.add.reduceat(by_hann, bands), 1e-300)
+    if ratio.max() < UNEVEN:
+        return reading
+    even = replace(reading, even=True)
+    found = []
+    for one in (reading, even):
+        learned = refine_edges(one, fit_prior(one, columns=columns), columns=columns)
+        price = 0.5 * learned.spectrum.parameters * float(np.log(one.values.size))
+        found.append(log_likelihood(one, _filter(one, learned), columns=columns) - price)
+    return even if found[1] > found[0] + UNEVEN_EVIDENCE else reading
+
+
 def refine_edges(reading: Observation, learned: SpectralPrior, *, columns: Array) -> SpectralPrior:
     """The same with the edges of its spectrum where the innovations want them.
 
@@ -285,7 +336,9 @@ def _learn(reading: Observation, values: Array, *, smooth: bool = False, hidden:
     density = fit.noise_density / share
     spectrum = replace(fit.spectrum, levels=fit.spectrum.levels / (1 - hidden)) if hidden else fit.spectrum
     shaping = _shaped(reading, spectrum, density)
-    return SpectralPrior(spectrum, shaping, float(np.sqrt(density / interval)), reading.color, reading.rising)
+    return SpectralPrior(
+        spectrum, shaping, float(np.sqrt(density / interval)), reading.color, reading.rising, reading.even
+    )
 
 
 def periodogram_of(reading: Observation, values: Array, *, share: float) -> Periodogram:
@@ -297,6 +350,7 @@ def periodogram_of(reading: Observation, values: Array, *, share: float) -> Peri
         interval=reading.interval,
         input_density=reading.input_density,
         color=None if color is None else lambda f, width: share * color.density(f, width=width),
+        density=density_of(values, reading.interval, even=True) if reading.even else None,
     )
 
 

@@ -65,6 +65,8 @@ class Evidence:
         Whether the force was seen to be stronger where the balance weakens it than elsewhere.
     among
         All dynamics near which some are compared: the periodogram is averaged alike for all of them.
+    even
+        Whether the ends of the reading are weighed as its middle.
     """
 
     values: Array
@@ -74,6 +76,7 @@ class Evidence:
     color: ColoredNoise | ShapedNoise | None = None
     rising: bool = False
     among: tuple[ModalModel, ...] = ()
+    even: bool = False
     _known: dict[tuple[float, ...], SpectrumFit] = field(default_factory=dict)
     _density: Array | None = None
     _edges: NDArray[np.int64] | None = None
@@ -101,7 +104,7 @@ class Evidence:
     def _periodogram(self, dynamics: ModalModel) -> Periodogram:
         color = self.color
         if self._density is None:
-            self._density = density_of(self.values, self.interval)
+            self._density = density_of(self.values, self.interval, even=self.even)
         if self._edges is None and self.among:
             self._edges = averages_for(self.among, self.values.size, self.interval)
         return Periodogram.of(

@@ -172,7 +172,7 @@ def spoken_for(
     evidence = Evidence(values - values.mean(), interval, least_noise**2 * interval)
     if learned is not None:
         white = None if learned.color is None else learned.noise**2 * interval
-        evidence = replace(evidence, white=white, color=learned.color, rising=learned.rising)
+        evidence = replace(evidence, white=white, color=learned.color, rising=learned.rising, even=learned.even)
     none = dynamics.retuned(frequency=SETTINGS.beyond, damping=1.0)
     near = None if steps else near_resonance(evidence.values, interval, dynamics)
     peaks = evidence.peaks(dynamics)

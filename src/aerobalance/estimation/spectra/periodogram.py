@@ -43,6 +43,9 @@ STRAIGHT: Final = 1e-3
 STEEPEST: Final = 1.1
 """Ratio of the response's squares within one average at most."""
 
+TAPERED: Final = 0.02
+"""Share of a record at either end that an even window tapers: beyond 50 ordinates it leaks as a Hann window does."""
+
 LOBES: Final = 256
 """Ordinates on either side of an edge up to which the window leaks at all."""
 
@@ -340,7 +343,7 @@ def _averages(level: Array) -> NDArray[np.int64]:
     return averages(level, FEWEST_ORDINATES, FINENESS, float(np.log(STEEPEST)))
 
 
-def density_of(values: Array, interval: float) -> Array:
+def density_of(values: Array, interval: float, *, even: bool = False) -> Array:
     """Two-sided power spectral density of readings at all ordinates of their periodogram, shape (m,) [N^2/Hz].
 
     Parameters
@@ -349,8 +352,11 @@ def density_of(values: Array, interval: float) -> Array:
         Readings without gaps, known shapes taken out, shape (n,) [N].
     interval
         Time between samples [s].
+    even
+        Whether all of a part weighs alike but for `TAPERED` at its ends, as where the load is another there than in
+        its middle; else a Hann window weighs it.
     """
-    parts, window = _parts(values), _window(min(values.size, LONGEST))
+    parts, window = _parts(values), (_even_window if even else _window)(min(values.size, LONGEST))
     density = np.zeros(window.size // 2 + 1)[INSIDE]
     for part in parts:
         found = rfft(part * window)[INSIDE]
@@ -363,6 +369,13 @@ def density_of(values: Array, interval: float) -> Array:
 def _window(length: int) -> Array:
     """Hann window, shape (length,) [1]."""
     return np.asarray(np.hanning(length + 2)[1:-1])
+
+
+@lru_cache(maxsize=4)
+def _even_window(length: int) -> Array:
+    """Window that is 1 but for cosine tapers at its ends, shape (length,) [1]."""
+    from_end = np.minimum(np.arange(1, length + 1), np.arange(length, 0, -1)) / (TAPERED * length)
+    return np.asarray(0.5 - 0.5 * np.cos(np.pi * np.minimum(from_end, 1.0)))
 
 
 def share_seen(present: NDArray[np.bool_]) -> float:
