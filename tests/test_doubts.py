@@ -6,6 +6,7 @@ import json
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,9 +16,12 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.evidence import Evidence
 from aerobalance.estimation.checks.mains_hum import hum_doubts
+from aerobalance.estimation.checks.mode_shapes import Moved
 from aerobalance.estimation.checks.resolution import resolution_doubt, rounding_error
 from aerobalance.estimation.checks.resonance_change import ResonanceChange, resonance_changes
 from aerobalance.estimation.checks.resonance_change import _told as change_told
+from aerobalance.estimation.checks.ringing import RingingSpectra
+from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.error_sources import Noise
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.prior import Observation, SpectralPrior
@@ -31,6 +35,8 @@ from aerobalance.recording.doubts import KINDS, Doubt, Size, Verdict, of_all_par
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.noise import step_of
 from aerobalance.recording.recording import Recording
+from aerobalance.simulation.six_components import SixComponentRig, random_balance
+from aerobalance.simulation.six_signals import Band, broadband
 from faults.cases import Case, all_cases
 from faults.scene import FREQUENCY
 from faults.trials import recording_of, scores, worked_out
@@ -437,6 +443,46 @@ def test_delays_of_channels_do_not_hide_how_resonances_have_changed(rng):
         assert one.frequency is not None
         assert other.frequency == pytest.approx(one.frequency, abs=0.1 * one.u_frequency)
         assert other.damping_ratio == pytest.approx(one.damping_ratio, abs=0.1 * one.u_damping_ratio)
+
+
+@pytest.mark.parametrize("place", [0.96, 1.1, 1.4], ids="at {} of the lowest natural frequency".format)
+def test_where_a_load_ends_no_change_of_a_resonance_is_told(place, rng):
+    """Of a right likelihood the slope at the truth has a mean of 0 and the curvature for its variance (Fisher).
+
+    Four standard deviations of the mean of 16 records, half of one more for the spectrum that is taken for constant
+    over a band; and of their variance.
+    """
+    count, rate = 16, 1000.0
+    balance = random_balance(rng)
+    dynamics = balance.dynamics
+    end = Band(0.0, place * dynamics.modes[0].natural_frequency)
+    noise = dict(zip(dynamics.components, 1e-4 * balance.half_range, strict=True))
+    parts = {name: SimpleNamespace(noise=one) for name, one in noise.items()}
+    found = []
+    for _ in range(count):
+        gusts = broadband(rng, end, rms=0.01 * balance.half_range, period=20.0)
+        recording = SixComponentRig(balance, rate=rate, applied=gusts, output="loads").run(1.0, rng).recording
+        record = CoupledRecord.of(recording, dynamics)
+        ringing = RingingSpectra.of(record, record.without_ground(record.loads, on_clock_of=0), parts)
+        found.append([slope_and_bend(ringing, dynamics, mode) for mode in range(len(dynamics.modes))])
+    slope, bend = np.moveaxis(np.array(found), -1, 0)  # records, modes, frequency and damping ratio
+    told = bend.mean(axis=0) > 1
+    assert told.any() or place < 1  # of a load that ends below all modes nothing rings
+    score = (slope / np.sqrt(np.maximum(bend.mean(axis=0), 1e-9)))[:, told]
+    assert np.abs(score.mean(axis=0)).max(initial=0.0) < 4 / np.sqrt(count) + 0.5
+    assert score.var(axis=0).max(initial=0.0) < 1 + 4 * np.sqrt(2 / count)
+
+
+def slope_and_bend(ringing: RingingSpectra, dynamics, mode: int) -> np.ndarray:
+    """Slope of a log-likelihood and its curvature, over damping ratio and 1, shape (2, 2)."""
+    still, found = Moved.none(dynamics), []
+    here = ringing.joint_evidence(still.rows)
+    for step in np.diag([0.2, 0.15]):
+        change = step * (dynamics.modes[mode].damping_ratio, 1.0)
+        up, down = (ringing.joint_evidence(still.by(mode, sign * change).rows) for sign in (1, -1))
+        size = step.sum()
+        found.append(((up - down) / (2 * size), (2 * here - up - down) / size**2))
+    return np.array(found)
 
 
 @pytest.mark.parametrize("width", [0.3, 0.5, 0.8], ids="width {}".format)

@@ -156,7 +156,7 @@ def _coupled(force: Force, record: CoupledRecord) -> tuple[ResonanceChange, ...]
     for place, one in enumerate(still):
 
         def likelihood(change: Array, place: int = place) -> float:
-            return float(np.sum(ringing.evidence(own.by(place, change).rows)))
+            return ringing.joint_evidence(own.by(place, change).rows)
 
         found.append(_told(one, modes[place].damping_ratio, likelihood))
     return tuple(found)

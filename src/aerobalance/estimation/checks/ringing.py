@@ -2,6 +2,10 @@
 
 The forces' spectra are taken for constant over bands much wider than a resonance. The likelihood counts what the
 balance makes of a force as well, |det(1 + D s + A s^2)|, so other frequencies may be compared with each other.
+
+Where a change within one run's uncertainty is looked for, two things count that no doubt depends on
+(`RingingSpectra.joint_evidence`): the rows make noise of one channel noise of several forces, and beyond the end of a
+load there is only what the window leaks there from other frequencies, which other rows have at those frequencies.
 """
 
 from __future__ import annotations
@@ -18,7 +22,7 @@ from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.driven_modes import values_and_rates
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.result import ComponentForce
-from aerobalance.estimation.spectra.periodogram import HANN_BANDWIDTH, Periodogram
+from aerobalance.estimation.spectra.periodogram import HANN_BANDWIDTH, HANN_WIDTH, LOBES, Periodogram
 from aerobalance.recording.channel import Array
 from aerobalance.recording.fourier import hann
 
@@ -42,6 +46,13 @@ class RingingSettings:
     stands_out
         Power of the channels over that of their noise and the ground's, their mean in a band, from which the band is
         compared.
+    leaked, leaked_one
+        Share of the power about an ordinate that the window may leak there from others: the geometric mean of all
+        forces, whose chance averages out, and the most of one. A Hann window leaks 0.002 of a flat spectrum beyond its
+        main lobe; a hundredth moves the slope of the likelihood by a hundredth of what chance does at one ordinate,
+        and by a tenth of it over a hundred of them.
+    noisy
+        Share of a reading's model that is noise, from which its correlation with others counts.
     """
 
     samples: int = 1 << 15
@@ -52,10 +63,16 @@ class RingingSettings:
     fine: int = 2
     stands_out: float = 10.0
     in_common: float = 10.0
+    leaked: float = 0.01
+    leaked_one: float = 0.1
+    noisy: float = 1e-3
 
 
 SETTINGS: Final = RingingSettings()
 """Settings that are used."""
+
+SMOOTHED: Final = 3
+"""Ordinates over which the power about one is averaged: a main lobe."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,17 +113,19 @@ class RingingSpectra:
     frequency
         Frequencies of the ordinates [Hz], shape (m,).
     lines
-        Spectral lines of every channel's powers of s over the modes of every decoupled component, shape (n, p, n, m).
+        Spectral lines of every channel's powers of s over the modes of every decoupled component, times the product
+        of these modes at the ordinate, shape (n, p, n, m).
     gain
-        Square of the response of the decoupled components, as the window sees it, shape (n, m).
-    over
-        Square of the product of their modes, shape (n, m).
+        Square of the response of the decoupled components as the window sees it, times that of the product, (n, m).
     noise
         Densities of the channels' noise, shape (n,).
     bands
         First ordinate of every band.
     shown
         True where the channels are clearly above their noise: elsewhere they say nothing of the modes, shape (m,).
+    clear
+        True where forces are above their noise, and no force or channel has much of what the window leaks there from
+        other frequencies, shape (m,).
     own
         The rows that the record was read with.
     """
@@ -114,10 +133,10 @@ class RingingSpectra:
     frequency: Array
     lines: NDArray[np.complex128]
     gain: Array
-    over: Array
     noise: Array
     bands: NDArray[np.intp]
     shown: NDArray[np.bool_]
+    clear: NDArray[np.bool_]
     own: Rows
 
     @classmethod
@@ -144,17 +163,21 @@ class RingingSpectra:
         bands = _bands(last - 2)
         window = hann(count)
         window = window * np.sqrt(interval / float(np.sum(window**2)))
-        lines, gains, overs = [], [], []
+        lines, gains, forces, over = [], [], [], []
         inside = slice(2, last)
         for one in record.decoupled:
             powers = powers_of(one, loads, interval=interval)
-            lines.append(np.fft.rfft(powers * window[:, None, None], axis=0)[inside])
             seen = Periodogram.of(loads[:, one.place], one.dynamics, interval=interval)
-            gains.append(seen.ordinates[2, : last - 2])
-            overs.append(_product_of_modes(one, seen.ordinates[0, : last - 2]))
+            product = _product_of_modes(one, seen.ordinates[0, : last - 2])
+            driven = np.fft.rfft(powers * window[:, None, None], axis=0)
+            forces.append(np.abs(np.einsum("mpj,jp->m", driven, one.row, optimize=True)) ** 2)
+            lines.append(driven[inside] * product[:, None, None])
+            over.append(np.abs(product) ** 2)
+            gains.append(seen.ordinates[2, : last - 2] * over[-1])
         frequency = np.arange(2, last) * step
         noise = np.array([parts[name].noise for name in record.dynamics.components]) ** 2 * interval
-        raw = np.abs(np.fft.rfft(loads * window[:, None], axis=0)[inside].T) ** 2
+        read = np.abs(np.fft.rfft(loads * window[:, None], axis=0).T) ** 2
+        raw = read[:, inside]
         widths = np.diff(np.append(bands, frequency.size))
         # noise of the ground's sensors is a force that all components have in common, and rings as one
         response = record.dynamics.response(frequency)
@@ -162,15 +185,20 @@ class RingingSpectra:
         shaking = SETTINGS.in_common * interval * np.real(shaken)
         level = _sums(raw / (noise[:, None] + shaking), bands).mean(axis=0) / widths
         shown = np.repeat(level > SETTINGS.stands_out, widths)
+        rows = Rows(np.stack([one.row for one in record.decoupled]))
+        quiet = np.einsum("mij,j->im", np.abs(rows.at(frequency)) ** 2, noise) / np.stack(over)
+        powers_of_forces = np.stack(forces)
+        above = (_smoothed(powers_of_forces)[:, inside] / quiet).mean(axis=0)
+        clear = (above > SETTINGS.stands_out) & (_own(powers_of_forces) & _own(read))[inside]
         return cls(
             frequency,
             np.stack(lines).transpose(0, 2, 3, 1),
             np.stack(gains),
-            np.stack(overs),
             noise,
             bands,
             shown,
-            Rows(np.stack([one.row for one in record.decoupled])),
+            clear,
+            rows,
         )
 
     def readings(self, rows: Rows) -> NDArray[np.complex128]:
@@ -189,7 +217,7 @@ class RingingSpectra:
         """
         power = np.abs(self.readings(rows)) ** 2
         whole = rows.at(self.frequency)
-        quiet = np.einsum("mij,j->im", np.abs(whole) ** 2, self.noise) / self.over
+        quiet = np.einsum("mij,j->im", np.abs(whole) ** 2, self.noise)
         widths = np.diff(np.append(self.bands, self.frequency.size))
         level = np.maximum(_sums((power - quiet) / self.gain, self.bands) / widths, 0.0)
         for _ in range(SETTINGS.iterations):
@@ -201,12 +229,69 @@ class RingingSpectra:
         found = (volume - np.sum(np.log(model) + power / model, axis=0)) * self.shown
         return np.asarray(np.add.reduceat(found, self.bands)) / HANN_BANDWIDTH
 
+    def joint_evidence(self, rows: Rows) -> float:
+        """Logarithm of the likelihood in all bands, with the noise that forces have in common.
+
+        Rows that mix channels put the noise of one into several forces. Where there is little but noise, its
+        determinant is that of the rows, whatever they are, and nothing is told; taken for another in every force, the
+        rows were likeliest that make it so. Beyond the end of a load there is what the window leaks: it has gone
+        through the rows at the frequencies that it comes from, and they are left out.
+
+        Parameters
+        ----------
+        rows
+            The rows.
+        """
+        lines, whole = self.readings(rows), rows.at(self.frequency)
+        power, shown = np.abs(lines) ** 2, self.shown & self.clear
+        quiet = np.einsum("mij,j->im", np.abs(whole) ** 2, self.noise)
+        widths = np.diff(np.append(self.bands, self.frequency.size))
+        above = np.where(shown, power - quiet, 0.0)
+        there = np.maximum(np.add.reduceat(shown.astype(float), self.bands), 1.0)
+        level = np.maximum(_sums(above / self.gain, self.bands) / there, 0.0)
+        for _ in range(SETTINGS.iterations):
+            weight = shown * (self.gain / (np.repeat(level, widths, axis=1) * self.gain + quiet)) ** 2
+            total = _sums(weight, self.bands)
+            level = np.maximum(_sums(weight * above / self.gain, self.bands) / np.where(total > 0, total, 1.0), 0.0)
+        model = (np.repeat(level, widths, axis=1) * self.gain + quiet)[:, shown]
+        power, quiet = power[:, shown], quiet[:, shown]
+        lost = np.sum(np.log(model) + power / model, axis=0)
+        noisy = (quiet > SETTINGS.noisy * model).any(axis=0)
+        if noisy.any():
+            scale = 1 / np.sqrt(model[:, noisy].T)
+            mixed = whole[shown][noisy] * np.sqrt(self.noise) * scale[:, :, None]
+            covariance = mixed @ mixed.conj().transpose(0, 2, 1)
+            own = np.arange(self.noise.size)
+            covariance[:, own, own] = 1.0
+            scaled = lines[:, shown][:, noisy].T * scale
+            solved = np.linalg.solve(covariance, scaled[:, :, None])[:, :, 0]
+            lost[noisy] += np.linalg.slogdet(covariance)[1] - np.sum(power[:, noisy] / model[:, noisy], axis=0)
+            lost[noisy] += np.real(np.sum(scaled.conj() * solved, axis=1))
+        return float(np.sum(self.determinant(rows)[shown] - lost)) / HANN_BANDWIDTH
+
     def determinant(self, rows: Rows) -> Array:
         """Mean about every ordinate of the logarithm of the squared determinant of the rows, shape (m,)."""
         step = self.frequency[1] - self.frequency[0]
         offsets = (np.arange(SETTINGS.fine) + 0.5) / SETTINGS.fine - 0.5
         whole = rows.at((self.frequency[:, None] + step * offsets).ravel())
         return np.asarray(2 * np.linalg.slogdet(whole)[1].reshape(-1, SETTINGS.fine).mean(axis=1))
+
+
+def _own(power: Array) -> NDArray[np.bool_]:
+    """Whether the power of several series about each ordinate, (n, m), is its own and not leaked from others, (m,)."""
+    away = np.arange(-LOBES, LOBES + 1, dtype=np.float64)
+    far = np.abs(away) >= HANN_WIDTH
+    leaks = np.zeros(away.size)  # of a line anywhere between two ordinates, over the sum of its lobes
+    leaks[far] = 0.5 / (np.pi * away[far] * (away[far] ** 2 - 1)) ** 2 / 1.5
+    leaked = np.stack([np.convolve(one, leaks)[LOBES : LOBES + one.size] for one in power])
+    share = leaked / np.maximum(_smoothed(power), 1e-300)
+    together = np.exp(np.mean(np.log(np.maximum(share, 1e-300)), axis=0))
+    return np.asarray((together < SETTINGS.leaked) & (share.max(axis=0) < SETTINGS.leaked_one))
+
+
+def _smoothed(power: Array) -> Array:
+    """Mean of series about each ordinate, over a main lobe, shape (n, m)."""
+    return np.stack([np.convolve(one, np.ones(SMOOTHED) / SMOOTHED)[SMOOTHED // 2 :][: one.size] for one in power])
 
 
 def _sums(values: Array, first: NDArray[np.intp]) -> Array:
@@ -222,12 +307,12 @@ def _bands(count: int) -> NDArray[np.intp]:
     return np.array(first[:-1] if len(first) > 1 and count - first[-1] < SETTINGS.fewest else first, dtype=np.intp)
 
 
-def _product_of_modes(one: DecoupledChannel, frequency: Array) -> Array:
-    s, whole = 2j * np.pi * frequency, np.ones(frequency.size)
+def _product_of_modes(one: DecoupledChannel, frequency: Array) -> NDArray[np.complex128]:
+    s, whole = 2j * np.pi * frequency, np.ones(frequency.size, dtype=np.complex128)
     for mode in one.dynamics.modes:
         w = mode.angular_frequency
-        whole = whole * np.abs(1 + 2 * mode.damping_ratio * s / w + (s / w) ** 2) ** 2
-    return np.asarray(whole)
+        whole = whole * (1 + 2 * mode.damping_ratio * s / w + (s / w) ** 2)
+    return whole
 
 
 def powers_of(one: DecoupledChannel, loads: Array, *, interval: float) -> Array:
