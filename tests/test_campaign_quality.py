@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
+from scipy.special import ndtr
 
 from aerobalance.app.campaign.definition import Repeats
-from aerobalance.app.campaign.quality import quality_of
+from aerobalance.app.campaign.quality import SETTINGS, quality_of
 from seeds import trials
 
 
@@ -74,6 +76,19 @@ def test_a_run_apart_a_moved_zero_a_softer_spring_and_a_change_of_balance_are_fl
     assert found["zero drift"].text.startswith("zero_3.h5 (3 runs) apart from the others: NF +")
     assert "off that of dynamics.json in the mean of 24 runs" in found["stiffness"].text
     assert found["set-up change"].text == "from run_13 on: balance balance.json to other.json"
+
+
+def test_a_change_that_all_runs_share_counts_beyond_what_a_true_uncertainty_allows(rng):
+    """An error of b of it leaves Phi(1.96 - b) - Phi(-1.96 - b) of the truths in 95 % intervals: 93 % of them."""
+    most = 1.9600 - brentq(lambda edge: ndtr(edge) - ndtr(edge - 2 * 1.9600) - 0.93, 1.0, 1.9)
+    assert SETTINGS.of_one == pytest.approx(most, abs=0.005)
+    given = rows(rng, polars=120)  # the mean of 360 runs has a nineteenth of the uncertainty of one
+    change = {"below": most - 0.3, "above": most + 0.3}  # 5.7 standard uncertainties of the mean from what counts
+    found = {}
+    for name, shift in change.items():
+        shifted = [row | {"k_change_NF": row["k_change_NF"] + 0.01 * shift} for row in given]
+        found[name] = "stiffness" in flags(shifted)
+    assert found == {"below": False, "above": True}
 
 
 def test_repeats_that_scatter_otherwise_than_stated_are_flagged(rng):
