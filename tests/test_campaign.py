@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import os
 import shutil
 import signal
@@ -42,8 +43,9 @@ from aerobalance.app.cli.program import main
 from aerobalance.app.commands.campaign import watch
 from aerobalance.estimation.force import estimate_force
 from aerobalance.io import read, write_recording
-from aerobalance.recording.errors import ReadError
+from aerobalance.recording.errors import FitError, ReadError
 from helpers.axial_runs import axial_folder, run_of, spring
+from helpers.killed_worker import AT_WORK, ENDED, Held, Pages
 from seeds import new_seed, running
 
 # of a white load, which some records doubt
@@ -456,6 +458,76 @@ def free_port() -> int:
     with socket.socket() as one:
         one.bind(("127.0.0.1", 0))
         return int(one.getsockname()[1])
+
+
+def same_results(out: Path, serial: Path) -> None:
+    """Rows and histories of two folders are the same bit for bit."""
+    assert pq.read_table(out / "summary.parquet").equals(pq.read_table(serial / "summary.parquet"))
+    for name in records(serial):
+        one, other = (xr.open_zarr(at / "histories.zarr", group=name, consolidated=False) for at in (out, serial))
+        xr.testing.assert_identical(one, other)
+
+
+def test_a_worker_killed_in_the_middle_costs_one_run_again(tmp_path, rng):
+    runs, dynamics = axial_folder(tmp_path, rng, count=4)
+    reduce_runs(runs, tmp_path / "serial", dynamics=dynamics, engine=HERE, report=Pages(tmp_path / "serial.log"))
+    log = tmp_path / "log"
+    found = reduce_runs(
+        runs, tmp_path / "out", dynamics=dynamics, engine=Engine(workers=2), report=Pages(log, fatal="run_2")
+    )
+    assert not found.aside
+    same_results(tmp_path / "out", tmp_path / "serial")
+    assert sorted(log.read_text().split()) == ["run_1", "run_2", "run_2", "run_3", "run_4"]
+
+
+def test_a_scheduler_that_ends_is_gone_on_with_by_the_next_call(tmp_path, rng, monkeypatch):
+    """The scheduler ends while the second run is worked on; another one at its address is given the three others."""
+    runs, dynamics = axial_folder(tmp_path, rng, count=4)
+    plain, held = Pages(tmp_path / "log"), Held(tmp_path / "log", records=tmp_path / "out" / "runs")
+    reduce_runs(runs, tmp_path / "serial", dynamics=dynamics, engine=HERE, report=plain)
+    port = free_port()
+    AT_WORK.clear()
+    ENDED.clear()
+    monkeypatch.setattr(engines, "ANSWER", 1.0)
+
+    @contextmanager
+    def scheduler():
+        import dask
+        from distributed import LocalCluster
+
+        with (
+            dask.config.set({"distributed.comm.timeouts.connect": "1s"}),  # the client goes on trying as long
+            LocalCluster(
+                n_workers=1,
+                threads_per_worker=1,
+                processes=False,
+                protocol="tcp://",
+                host="127.0.0.1",
+                scheduler_port=port,
+                dashboard_address=None,
+                silence_logs=logging.CRITICAL,
+            ) as cluster,
+        ):
+            yield cluster
+
+    def ends(cluster) -> None:
+        AT_WORK.wait(60)
+        cluster.sync(cluster.scheduler.close)
+        ENDED.set()
+
+    engine = Engine(scheduler=f"tcp://127.0.0.1:{port}", patience=0.5)
+    again = {"dynamics": dynamics, "engine": replace(engine, patience=30.0), "report": plain}
+    with scheduler() as cluster:
+        ending = threading.Thread(target=ends, args=(cluster,))
+        ending.start()
+        with pytest.raises(FitError, match="3 runs are not done"):
+            reduce_runs(runs, tmp_path / "out", dynamics=dynamics, engine=engine, report=held)
+        ending.join()
+    (first,) = records(tmp_path / "out")
+    with scheduler():
+        found = reduce_runs(runs, tmp_path / "out", **again)
+    assert set(found.done) == {"run_1", "run_2", "run_3", "run_4"} - {first}
+    same_results(tmp_path / "out", tmp_path / "serial")
 
 
 @pytest.mark.long
