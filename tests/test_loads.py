@@ -264,6 +264,23 @@ def test_weight_of_a_weighing_is_taken_off_where_it_is_known(balance: BalanceMat
         reduce_outputs(run, balance, zero=Zero(rest, model_on=True), tare=weighing)
 
 
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")  # of the weight along others
+def test_errors_of_a_weighing_are_common_to_the_components(balance: BalanceMatrix, rng) -> None:
+    """NF and AF have one mass and one misalignment: the errors of the two are those that the weighing says."""
+    points = np.radians(np.arange(-10.0, 11, 2))
+    weight = np.column_stack([-50.0 * np.cos(points), 50.0 * np.sin(points)]) + rng.normal(0, 0.01, (points.size, 2))
+    weighing = fit_weight(LoadPoints(("NF", "AF"), points, weight, np.zeros_like(points), None))
+    pitch = np.full(800, np.radians(6.0))
+    run = recorded(balance.outputs(swinging(800, rng)), extra={"pitch": ("rad", pitch)})
+    rest = recorded(rng.normal(0, 1e-6, (800, 6)), name="zero")
+    loads = reduce_outputs(run, balance, zero=Zero(rest, model_on=False), tare=weighing)
+    u = weighing.uncertainty(pitch=pitch[:1], offsets=False)[0]
+    place = [loads.components.index(name) for name in ("NF", "AF")]
+    expected = np.outer(u, u) * weighing.correlation(pitch=pitch[:1], offsets=False)
+    assert expected[0, 1] != 0
+    assert loads.of_tare[np.ix_(place, place)] == pytest.approx(expected, rel=1e-9)
+
+
 def test_a_weighing_of_none_of_the_components_is_refused(seed: int, rng) -> None:
     """A force balance without the gauges' distances has no NF, along which the weight is known."""
     plain = replace(random_balance(seed), natural_zero=None, geometry=None)

@@ -517,3 +517,21 @@ def test_recordings_give_all_components_at_once():
     one = points_from_recordings(recordings, ["PM"])
     np.testing.assert_array_equal(one.loads[:, 0], given.loads[:, COMPONENTS.index("PM")])
     assert set(found.centre_of_gravity) == set(AXES)
+
+
+def test_errors_of_components_are_correlated_as_those_of_weighings_over_again(rng):
+    """Errors of the loads at other attitudes over many weighings, each with noise of its own."""
+    pitch, roll = grid(4)
+    true = read(pitch, roll)
+    later = {"pitch": np.radians([-8.0, 3.0, 12.0]), "roll": np.radians([0.0, 20.0, -10.0])}
+    count = trials(300, 1000)
+    noise = np.tile(list(NOISE.values()), (pitch.size, 1))
+    weighed = [weigh_quietly(points(pitch, roll, noisy(rng, true), noise=noise)) for _ in range(count)]
+    loads = np.array([one.loads(**later, offsets=False) for one in weighed])
+    errors = loads - loads.mean(axis=0)
+    covariance = np.einsum("nai,naj->ij", errors, errors, optimize=True) / (count - 1)
+    size = np.sqrt(np.einsum("nai,nai->ai", errors, errors, optimize=True) / (count - 1))
+    found = weighed[0].correlation(**later, offsets=False)
+    assert np.abs(found - np.eye(6)).max() > 0.3
+    # of n draws the deviation of a correlation is (1 - r^2) / sqrt(n) at most; 36 of them, four and a half of it
+    assert np.abs(found - covariance / (size.T @ size)).max() < 4.5 / np.sqrt(count)

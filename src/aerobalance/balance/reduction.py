@@ -230,7 +230,9 @@ def _weight(recording: Recording, weighing: Weighing, balance: BalanceMatrix, *,
     recording.channel("pitch")  # without which the weight is not known
     pitch, roll = attitudes_of(recording)
     loads = weighing.loads(pitch=pitch, roll=roll, offsets=False)
-    u = weighing.uncertainty(pitch=pitch, roll=roll, offsets=False, since=[attitudes_of(zero) for zero in since])
+    zeros = [attitudes_of(zero) for zero in since]
+    u = weighing.uncertainty(pitch=pitch, roll=roll, offsets=False, since=zeros)
+    between = weighing.correlation(pitch=pitch, roll=roll, offsets=False, since=zeros)
     columns = [weighing.components.index(name) if name in weighing.components else None for name in names]
     if all(column is None for column in columns):
         raise FitError(
@@ -242,9 +244,13 @@ def _weight(recording: Recording, weighing: Weighing, balance: BalanceMatrix, *,
             f"{recording.name}: the weighing knows the weight along {', '.join(weighing.components)} only; that along "
             f"{', '.join(left)} stays in the loads"
         )
-    nothing = np.zeros_like(pitch)
+    nothing, correlation = np.zeros_like(pitch), np.eye(len(columns))
+    weighed = [(place, k) for place, k in enumerate(columns) if k is not None]
+    for row, one in weighed:
+        for column, other in weighed:
+            correlation[row, column] = between[one, other]
     return Tare(
         np.column_stack([nothing if k is None else loads[:, k] for k in columns]),
         np.column_stack([nothing if k is None else u[:, k] for k in columns]),
-        np.eye(len(columns)),
+        correlation,
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -268,29 +268,58 @@ class Weighing:
         numpy.ndarray
             Shape (n, c) [N, N*m].
         """
+        found = [self._covariances(one) for one in self._jacobians(pitch, roll, offsets=offsets, since=since)]
+        return np.asarray(np.sqrt(np.concatenate([np.diagonal(one, axis1=1, axis2=2) for one in found])))
+
+    def correlation(
+        self, *, pitch: ArrayLike, roll: ArrayLike = 0.0, offsets: bool = True, since: Sequence[Attitudes] = ()
+    ) -> Array:
+        """Correlation of the errors of `loads` between components, over all attitudes together, shape (c, c) [1].
+
+        It is their mean covariance over the mean product of their standard uncertainties: forces share a mass, and
+        moments a centre of gravity. Attitudes that are not known are left out.
+
+        Parameters
+        ----------
+        pitch, roll, offsets, since
+            As in `uncertainty`.
+        """
+        count = len(self.components)
+        covariance, product = np.zeros((count, count)), np.zeros((count, count))
+        for jacobian in self._jacobians(pitch, roll, offsets=offsets, since=since):
+            here = self._covariances(jacobian[np.isfinite(jacobian).all(axis=(1, 2))])
+            u = np.sqrt(np.diagonal(here, axis1=1, axis2=2))
+            covariance += here.sum(axis=0)
+            product += u.T @ u
+        found = covariance / np.where(product > 0, product, 1.0)
+        np.fill_diagonal(found, 1.0)
+        return np.asarray(found)
+
+    def _jacobians(
+        self, pitch: ArrayLike, roll: ArrayLike, *, offsets: bool, since: Sequence[Attitudes]
+    ) -> Iterator[Array]:
+        """Derivatives of the loads by all parameters, block by block of attitudes, shape (n, c, p)."""
         values = self._all_values()
         directions = np.atleast_2d(weight_direction(pitch, roll))
         before = [self.model.jacobian(_mean_direction(attitudes), values) for attitudes in since]
         on_zero = np.mean(before, axis=0) if before else 0.0
-        result = np.empty((directions.shape[0], len(self.components)))
         for first in range(0, directions.shape[0], BLOCK):
-            block = slice(first, first + BLOCK)
-            jacobian = self.model.jacobian(directions[block], values) - on_zero
+            jacobian = self.model.jacobian(directions[first : first + BLOCK], values) - on_zero
             if not offsets:
                 jacobian[:, :, self._offsets()] = 0.0
-            result[block] = np.sqrt(self._variance(jacobian))
-        return result
+            yield jacobian
 
-    def _variance(self, jacobian: Array) -> Array:
-        """Variance of loads with these derivatives by all parameters, shape (n, c, p)."""
+    def _covariances(self, jacobian: Array) -> Array:
+        """Covariance of loads with these derivatives by all parameters, (n, c, p), between components, (n, c, c)."""
         fitted = jacobian[:, :, self._places(self.parameters)]
         scales = np.array(list(self.left_out.values()))
         noise = self.covariance - (self.absorbed * scales**2) @ self.absorbed.T
-        missed = jacobian[:, :, self._places(tuple(self.left_out))] - fitted @ self.absorbed
+        missed = (jacobian[:, :, self._places(tuple(self.left_out))] - fitted @ self.absorbed) * scales
+        by_noise = fitted @ noise @ fitted.transpose(0, 2, 1)
+        own = np.arange(by_noise.shape[1])
         # Rounding can take a variance of nothing below zero.
-        by_noise = np.maximum(np.sum((fitted @ noise) * fitted, axis=-1), 0.0)
-        variance: Array = by_noise + np.sum((missed * scales) ** 2, axis=-1)
-        return variance
+        by_noise[:, own, own] = np.maximum(by_noise[:, own, own], 0.0)
+        return np.asarray(by_noise + missed @ missed.transpose(0, 2, 1))
 
     def _all_values(self) -> Array:
         given = {**self.assumed, **dict(zip(self.parameters, self.values, strict=True))}
