@@ -473,7 +473,7 @@ def test_a_worker_killed_in_the_middle_costs_one_run_again(tmp_path, rng):
     reduce_runs(runs, tmp_path / "serial", dynamics=dynamics, engine=HERE, report=Pages(tmp_path / "serial.log"))
     log = tmp_path / "log"
     found = reduce_runs(
-        runs, tmp_path / "out", dynamics=dynamics, engine=Engine(workers=2), report=Pages(log, fatal="run_2")
+        runs, tmp_path / "out", dynamics=dynamics, engine=Engine(workers=1), report=Pages(log, fatal="run_2")
     )
     assert not found.aside
     same_results(tmp_path / "out", tmp_path / "serial")
