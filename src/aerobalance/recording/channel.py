@@ -274,13 +274,20 @@ def _clipped(values: Array, sign: float) -> tuple[NDArray[np.bool_], int]:
     One such run alone may be a plateau.
     """
     flags = np.zeros(values.shape, dtype=bool)
-    finite = np.isfinite(values)
-    if not finite.any():
+    if not values.size:
         return flags, 0
-    known = values if finite.all() else values[finite]
-    at = np.flatnonzero(values == (known.max() if sign > 0 else known.min()))
+    known, finite = values, None
+    end = values.max() if sign > 0 else values.min()
+    if not np.isfinite(end):  # something is missing
+        finite = np.isfinite(values)
+        if not finite.any():
+            return flags, 0
+        known = values[finite]
+        end = known.max() if sign > 0 else known.min()
+    at = np.flatnonzero(values == end)
     if not (np.diff(at) == 1).any():  # as in most records: no run
         return flags, 0
+    finite = np.isfinite(values) if finite is None else finite
     signal = np.where(finite, sign * values, np.nan)
     limit = np.max(signal[finite])
     spread = limit - np.min(signal[finite])
