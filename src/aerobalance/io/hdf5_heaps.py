@@ -14,6 +14,8 @@ import struct
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
 from aerobalance.io.hdf5_closing import SIGNATURE
 from aerobalance.recording.errors import ReadError
 
@@ -41,6 +43,12 @@ _HEAD: Final = 16
 _LOOKED_THROUGH: Final = 1 << 23
 """Bytes at either end that are looked through of a file of more than twice as many."""
 
+_PIECE: Final = 1 << 13
+"""Bytes that are searched or not."""
+
+_LONGEST_PATTERN: Final = 16
+"""Bytes of the longest of what is searched for, at least."""
+
 
 def check_heaps(path: Path) -> None:
     """Refuse heaps, and texts in them, that claim more than there is: the library takes the memory, or never ends.
@@ -55,16 +63,40 @@ def check_heaps(path: Path) -> None:
         return
     with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as view:
         whole = size <= 2 * _LOOKED_THROUGH
-        for begin, end in [(0, size)] if whole else [(0, _LOOKED_THROUGH), (size - _LOOKED_THROUGH, size)]:
-            _check_lengths(path, view, (begin, end))
-            at = view.find(_MARK, begin, end)
-            while at >= 0:
-                _check_texts(path, view, at, _objects(path, view, at), (begin, end))
-                at = view.find(_MARK, at + 1, end)
-            at = view.find(_NAMES, begin, end)
-            while at >= 0:
-                _check_free_places(path, view, at)
-                at = view.find(_NAMES, at + 1, end)
+        for span in [(0, size)] if whole else [(0, _LOOKED_THROUGH), (size - _LOOKED_THROUGH, size)]:
+            pieces = _pieces_with_zeros(view, *span)
+            for begin, end in pieces:
+                _check_lengths(path, view, (begin, end))
+            for begin, end in pieces:
+                at = view.find(_MARK, begin, end)
+                while at >= 0:
+                    _check_texts(path, view, at, _objects(path, view, at), span)
+                    at = view.find(_MARK, at + 1, end)
+            for begin, end in pieces:
+                at = view.find(_NAMES, begin, end)
+                while at >= 0:
+                    _check_free_places(path, view, at)
+                    at = view.find(_NAMES, at + 1, end)
+
+
+def _pieces_with_zeros(view: mmap.mmap, begin: int, end: int) -> list[tuple[int, int]]:
+    """Pieces of a span in which there are three zeros in a row, and what touches them.
+
+    All that is looked for has three zeros in a row, so two in one word, and readings seldom have: a look at the words
+    takes a tenth of the time of the searches.
+    """
+    whole = (end - begin) // _PIECE
+    words = np.frombuffer(view, dtype=np.uint16, count=whole * _PIECE // 2, offset=begin).reshape(whole, _PIECE // 2)
+    numbers = [*np.flatnonzero(words.min(axis=1, initial=1) == 0).tolist(), whole]  # and what is left behind them
+    found: list[tuple[int, int]] = []
+    for number in numbers:
+        first = max(begin, begin + number * _PIECE - _LONGEST_PATTERN)
+        last = min(end, begin + (number + 1) * _PIECE + _LONGEST_PATTERN)
+        if found and first <= found[-1][1]:
+            found[-1] = found[-1][0], last
+        elif first < last:
+            found.append((first, last))
+    return found
 
 
 def _check_free_places(path: Path, view: mmap.mmap, at: int) -> None:
