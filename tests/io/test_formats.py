@@ -76,13 +76,16 @@ def test_a_map_that_is_proposed_reads_the_file(tmp_path, given) -> None:
 
 def test_only_what_is_wanted_is_read(tmp_path, monkeypatch) -> None:
     asked = []
-    original = series_values.read_values
 
-    def noted(path, one, begin=0, end=None):
-        asked.append(one.name)
-        return original(path, one, begin, end)
+    def noting(original):
+        def noted(path, one, *others):
+            asked.append(one.name)
+            return original(path, one, *others)
 
-    monkeypatch.setattr(series_values, "read_values", noted)
+        return noted
+
+    for name in ("read_values", "_read_into"):  # alone, or with others a piece at a time
+        monkeypatch.setattr(series_values, name, noting(getattr(series_values, name)))
     for given in FILES:
         path, toml = tmp_path / given.name, tmp_path / "map.toml"
         given.make(path)

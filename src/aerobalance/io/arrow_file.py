@@ -17,7 +17,7 @@ from aerobalance.io.hdf5_layout import StoredChannel
 from aerobalance.io.safe_write import replacing
 from aerobalance.io.said_by_file import clock_of, epoch_of, plain_keys, sensor_said, since, unit_of
 from aerobalance.io.sensor_text import KEY, sensor_text
-from aerobalance.io.series import MOST_SERIES, Holdings, Series, named, with_axes
+from aerobalance.io.series import MOST_SERIES, Fills, Holdings, Series, named, with_axes
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError
 from aerobalance.recording.version import VERSION
@@ -122,11 +122,24 @@ def _arrow(path: Path, stack: contextlib.ExitStack) -> Holdings:
         place = table.schema.get_field_index(name)
         return lambda begin, end: _numbers(table.column(place).slice(begin, end - begin))
 
+    def filling(name: str) -> Fills:
+        column = table.column(table.schema.get_field_index(name))
+
+        def fill(begin: int, into: Array) -> None:
+            at = 0
+            for part in column.slice(begin, into.size).chunks:
+                into[at : at + len(part)] = part.to_numpy(zero_copy_only=False)
+                at += len(part)
+            if at < into.size:
+                raise ValueError(f"it has {at} of {into.size} samples")
+
+        return fill
+
     # packed columns are unpacked by now
-    return replace(_holdings(path, table.schema, table.num_rows, reader), parts=False)
+    return replace(_holdings(path, table.schema, table.num_rows, reader, filling), parts=False)
 
 
-def _holdings(path: Path, schema: Any, rows: int, reader: Any) -> Holdings:
+def _holdings(path: Path, schema: Any, rows: int, reader: Any, filling: Any = None) -> Holdings:
     """Series of the columns of a schema."""
     import pyarrow as pa  # noqa: PLC0415 - an extra, and only these files need it
 
@@ -154,6 +167,7 @@ def _holdings(path: Path, schema: Any, rows: int, reader: Any) -> Holdings:
                 unit,
                 rows,
                 reader(column.name),
+                fill=filling(column.name) if filling is not None and pa.types.is_float64(kind) and not fault else None,
                 alias=name,
                 clock=clock_of(own) or clock_of(about),
                 fault=fault,

@@ -13,6 +13,7 @@ import numpy as np
 
 from aerobalance.io.format_library import library_faults
 from aerobalance.io.hdf5_closing import SIGNATURE
+from aerobalance.io.hdf5_direct import Filling, is_plain
 from aerobalance.io.hdf5_heaps import check_heaps
 from aerobalance.io.hdf5_layout import FORMAT
 from aerobalance.io.said_by_file import (
@@ -167,16 +168,19 @@ class _Walk:
         self.epoch = self.epoch if self.epoch is not None else date
         name, unit = named(text_of(own.get("channelname")) or text, unit)
         clock = clock_of(own) or (clock_of(plain_keys(shared)) if samples > 1 else None)
+        changed, fault = unpacked(read, own), _fault(one, self.size)
+        whole = changed is read and not fault and one.size == samples and is_plain(one)
         series = Series(
             label,
             f"{name}{mark}",
             unit,
             samples,
-            unpacked(read, own),
+            changed,
+            fill=Filling(one, read) if whole else None,
             alias=label.rpartition("/")[2],
             clock=clock,
             axis=_dimension(one),
-            fault=_fault(one, self.size),
+            fault=fault,
             block=block,
             sensor=sensor_said(own),
         )

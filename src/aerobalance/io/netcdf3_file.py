@@ -13,6 +13,7 @@ import numpy as np
 from aerobalance.io.format_library import library_faults
 from aerobalance.io.said_by_file import clock_of, epoch_of, plain_keys, sensor_said, since, unit_of, unpacked
 from aerobalance.io.series import MOST_COLUMNS, MOST_SERIES, Holdings, Series, kind_fault, named, with_axes
+from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError
 
 NAME: Final = "NetCDF (classic)"
@@ -87,7 +88,9 @@ def _of_variable(
     found = []
     for k in range(columns):
         mark = "" if columns == 1 else f"[{k + 1}]"
-        read = unpacked(_reader(variable, k, along), own)
+        as_it_is = _reader(variable, k, along)
+        read = unpacked(as_it_is, own)
+        plain = read is as_it_is and len(shape) == 1 and variable.data.dtype.kind == "f"
         clock = clock_of(own) or clock_of(about)
         axis = dimension if dimension != name and clock is None else ""
         found.append(
@@ -97,6 +100,7 @@ def _of_variable(
                 unit,
                 shape[along],
                 read,
+                fill=_filling(variable) if plain else None,
                 clock=clock,
                 axis=axis,
                 fault=fault,
@@ -116,3 +120,10 @@ def _reader(variable: Any, column: int, along: int) -> Any:
         return np.array(part, dtype=part.dtype.newbyteorder("="))
 
     return read
+
+
+def _filling(variable: Any) -> Any:
+    def fill(begin: int, into: Array) -> None:
+        into[:] = variable.data[begin : begin + into.size]
+
+    return fill

@@ -17,10 +17,13 @@ import numpy as np
 
 from aerobalance.io.columns import Clock, split_label
 from aerobalance.io.text_clock import is_time_name, is_time_unit
-from aerobalance.recording.channel import SensorSpec
+from aerobalance.recording.channel import Array, SensorSpec
 
 Reads = Callable[[int, int], Any]
 """Reads the samples of a series from one to another (not included), as numbers or date-time stamps."""
+
+Fills = Callable[[int, Array], None]
+"""Reads as many samples of a series from one on as an array takes, into the array."""
 
 MOST_SERIES: Final = 10_000
 """Series that a file may hold: no recorder has as many channels."""
@@ -45,6 +48,8 @@ class Series:
         Reads a part of it.
     alias
         A shorter name, where it is the only one of that name.
+    fill
+        Reads a part of it into an array, where many short parts take no longer than a long one; None where they do.
     clock
         When the samples were taken, where the file states it as numbers.
     axis
@@ -68,6 +73,7 @@ class Series:
     samples: int
     read: Reads
     alias: str = ""
+    fill: Fills | None = field(default=None, kw_only=True)
     clock: Clock | None = None
     axis: str = ""
     fault: str = ""

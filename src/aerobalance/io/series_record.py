@@ -14,7 +14,7 @@ from aerobalance.io.clocks import steady_clock_of
 from aerobalance.io.columns import PIECE, Clock, RawColumns
 from aerobalance.io.series import Holdings, Reader, Series
 from aerobalance.io.series_columns import axis_epoch, bare_column, chosen_series
-from aerobalance.io.series_values import read_values
+from aerobalance.io.series_values import read_part, read_values
 from aerobalance.io.table import channels_of, table_from, warn_of_limit, warn_of_missing
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import warn_quality
@@ -102,9 +102,10 @@ class SeriesRecord:
         )
 
     def _channels(self, begin: int, end: int) -> dict[str, Channel]:
+        values = read_part(self.path, [series for _, series in self.chosen], begin, end)
         columns = tuple(
-            replace(bare_column(number, series), values=read_values(self.path, series, begin, end))
-            for number, series in self.chosen
+            replace(bare_column(number, series), values=one)
+            for (number, series), one in zip(self.chosen, values, strict=True)
         )
         raw = RawColumns(self.path, columns, range(1, end - begin + 1), rate=self.rate, start=self.start)
         if self.channel_map is not None:

@@ -13,6 +13,7 @@ import numpy as np
 from aerobalance.io.columns import Clock
 from aerobalance.io.format_library import library_faults
 from aerobalance.io.series import Holdings, Series
+from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import ReadError
 
 NAME: Final = "WAV"
@@ -51,7 +52,16 @@ def opened(path: Path) -> Iterator[Holdings]:
         columns = 1 if data.ndim == 1 else data.shape[1]
         clock = Clock(0.0, 1 / rate)
         series = tuple(
-            Series(f"channel {k + 1}", f"channel {k + 1}", "", samples, _reader(data, k), clock=clock)
+            Series(
+                f"channel {k + 1}",
+                f"channel {k + 1}",
+                "",
+                samples,
+                _reader(data, k),
+                fill=_filling(data, k),
+                clock=clock,
+                block="samples",
+            )
             for k in range(columns)
         )
     yield Holdings(series, parts=width != 3)
@@ -99,13 +109,26 @@ def _format(path: Path, place: int, file: BinaryIO, order: str, count: int) -> t
 
 def _reader(data: Any, column: int) -> Any:
     """Read a part of a channel, in fractions of full scale."""
-    kind, width = data.dtype.kind, 8 * data.dtype.itemsize
+    fill = _filling(data, column)
 
     def read(begin: int, end: int) -> Any:
-        part = np.asarray(data[begin:end] if data.ndim == 1 else data[begin:end, column])
-        if kind == "f":
-            return part
-        middle = 2.0 ** (width - 1)
-        return (part.astype(np.float64) - (middle if kind == "u" else 0.0)) / middle
+        found = np.empty(end - begin)
+        fill(begin, found)
+        return found
 
     return read
+
+
+def _filling(data: Any, column: int) -> Any:
+    """Read a part of a channel into an array, in fractions of full scale."""
+    kind, middle = data.dtype.kind, 2.0 ** (8 * data.dtype.itemsize - 1)
+
+    def fill(begin: int, into: Array) -> None:
+        end = begin + into.size
+        into[:] = data[begin:end] if data.ndim == 1 else data[begin:end, column]
+        if kind == "u":
+            into -= middle
+        if kind != "f":
+            into /= middle
+
+    return fill
