@@ -1,6 +1,8 @@
 """Recordings in HDF5: read back as they were recorded, with what is lost or damaged marked, and nothing else lost."""
 
+import os
 import signal
+import struct
 import subprocess
 import sys
 import warnings
@@ -15,12 +17,12 @@ from aerobalance.app.commands import recordings
 from aerobalance.io import column_names, load_channel_map, read, template, write_recording
 from aerobalance.io.hdf5_contents import contents
 from aerobalance.io.hdf5_file import headings, read_blocks
-from aerobalance.io.hdf5_layout import CHANNEL_1, StoredChannel, text_bytes
+from aerobalance.io.hdf5_layout import CHANNEL_1, StoredChannel, checksums_of_sums, text_bytes
 from aerobalance.io.long_record import open_record
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning, ReadError
 from aerobalance.recording.recording import Recording
-from helpers.hdf5_files import CHANNELS, in_blocks, make, quietly, readings
+from helpers.hdf5_files import CHANNELS, in_blocks, make, quietly, readings, with_crc32_of_samples
 
 
 def test_the_first_layout_is_still_read(tmp_path) -> None:
@@ -106,8 +108,8 @@ def test_every_single_bit_of_the_samples_is_watched(tmp_path, seed) -> None:
         assert [samples for _, samples in read_blocks(file)] == [None]
 
 
-def converted(path, *, by_channel=True):
-    """A recording of three channels with a time column; channels apart, or in blocks as it was written before."""
+def converted(path, *, layout=5):
+    """A recording of three channels with a time column, as it is written now or was written before."""
     time = np.arange(20_000) / 1000.0
     values = readings(0, time.size)
     channels = {
@@ -115,15 +117,17 @@ def converted(path, *, by_channel=True):
         for name, unit, column in zip(("AF", "pitch", "NF"), ("N", "rad", "N"), values.T, strict=True)
     }
     write_recording(path, Recording.from_columns(time, channels))
-    if not by_channel:
+    if layout == 4:
+        with_crc32_of_samples(path)
+    if layout == 3:
         in_blocks(path)
     return values
 
 
-@pytest.mark.parametrize("by_channel", [True, False])
-def test_a_converted_recording_of_either_layout_is_read(tmp_path, by_channel) -> None:
+@pytest.mark.parametrize("layout", [5, 4, 3])
+def test_a_converted_recording_of_any_layout_is_read(tmp_path, layout) -> None:
     path, toml = tmp_path / "a.h5", tmp_path / "map.toml"
-    values = converted(path, by_channel=by_channel)
+    values = converted(path, layout=layout)
     found = read(path)
     for place, name in enumerate(("AF", "pitch", "NF")):
         np.testing.assert_allclose(found.channel(name).values, values[:, place], rtol=3e-16)  # pitch was in degrees
@@ -159,9 +163,10 @@ def test_one_channel_of_a_converted_recording_is_read_without_the_others(tmp_pat
         assert np.array_equal(np.flatnonzero(rest.channel(column).missing), np.arange(8192, 16_384))
 
 
-def test_every_single_bit_of_a_converted_recording_is_watched(tmp_path, seed) -> None:
+@pytest.mark.parametrize("layout", [5, 4])
+def test_every_single_bit_of_a_converted_recording_is_watched(tmp_path, seed, layout) -> None:
     path = tmp_path / "a.h5"
-    converted(path)
+    converted(path, layout=layout)
     with h5py.File(path, "r") as file:
         places = [file["samples"].id.get_chunk_info_by_coord((16_384, column)).byte_offset for column in range(3)]
         checksums = file["checksums"].id.get_chunk_info(0).byte_offset + 2 * 3 * 4
@@ -173,6 +178,60 @@ def test_every_single_bit_of_a_converted_recording_is_watched(tmp_path, seed) ->
         damaged[bit // 8] ^= 1 << bit % 8
         path.write_bytes(damaged)
         assert [samples is None for _, samples in read_blocks(path)] == [False, False, True]
+
+
+@pytest.mark.parametrize("size", [1, 255, 256, 257, 600, 8192])
+def test_checksums_of_sums_are_what_the_layout_says(size, rng) -> None:
+    samples = rng.standard_normal((3, size))
+    stated = []
+    for column in samples:
+        words = [int(word) for word in column.view("<u8")]
+        lines = [words[begin : begin + 256] for begin in range(0, size, 256)]
+        down = [sum(line[k] for line in lines if k < len(line)) for k in range(256)]
+        sums = [one % 2**64 for one in [*down, *map(sum, lines)]]
+        stated.append(zlib.crc32(struct.pack(f"<{len(sums)}Q", *sums)))
+    assert checksums_of_sums(samples).tolist() == stated
+    wide = np.empty((3, size + 7))  # a part of a longer table has its columns in one piece each
+    wide[:, :size] = samples
+    assert checksums_of_sums(wide[:, :size]).tolist() == stated
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lambda table: table.__setitem__((3, 7), -table[3, 7]),
+        lambda table: table.__setitem__((3, slice(7, 9)), -table[3, 7:9]),  # signs: the sum is the same modulo 2^64
+        lambda table: table.__setitem__((slice(3, 5), 7), -table[3:5, 7]),
+        lambda table: table.__setitem__(([3, 3, 9], [7, 8, 8]), -table[[3, 3, 9], [7, 8, 8]]),
+        lambda table: table.__setitem__((slice(0, 2), slice(None)), table[[1, 0]]),  # pieces change places
+        lambda table: table.__setitem__((slice(2, 4), slice(None)), 0.0),  # a page of zeros
+        lambda table: table.__setitem__((slice(None), [4, 5]), table[:, [5, 4]]),
+    ],
+)
+def test_sums_tell_of_what_a_single_sum_does_not(damage, rng) -> None:
+    whole = rng.standard_normal((32, 256))
+    damaged = whole.copy()
+    damage(damaged)
+    assert checksums_of_sums(whole.reshape(1, -1)) != checksums_of_sums(damaged.reshape(1, -1))
+
+
+@pytest.mark.parametrize("layout", [5, 4])
+def test_pieces_are_read_together_only_where_they_are_one_behind_the_other(tmp_path, monkeypatch, layout) -> None:
+    path = tmp_path / "a.h5"
+    values = converted(path, layout=layout)
+    with h5py.File(path, "r+") as file:  # pieces of the columns that lie elsewhere, and out of order
+        table = file["samples"][...]
+        del file["samples"]
+        file.create_dataset("samples", table.shape, "<f8", chunks=(8192, 1), maxshape=(None, 3), fillvalue=np.nan)
+        for column in (2, 0, 1):
+            file["samples"][:, column] = table[:, column]
+    found = read(path)
+    for place, name in enumerate(("AF", "pitch", "NF")):
+        np.testing.assert_allclose(found.channel(name).values, values[:, place], rtol=3e-16)
+    monkeypatch.delattr(os, "preadv")  # as on systems that have none
+    without = read(path)
+    for name in found.channels:
+        np.testing.assert_array_equal(without.channel(name).values, found.channel(name).values)
 
 
 KILLED = """

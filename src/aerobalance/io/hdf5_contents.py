@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from aerobalance.io.hdf5_closing import is_written, marked_as_written
 from aerobalance.io.hdf5_heaps import check_heaps
-from aerobalance.io.hdf5_layout import BLOCK, BY_CHANNEL, CHANNELS, EVENT, FORMAT, GAP, STATUS, StoredChannel
+from aerobalance.io.hdf5_layout import BLOCK, BY_CHANNEL, BY_SUMS, CHANNELS, EVENT, FORMAT, GAP, STATUS, StoredChannel
 from aerobalance.io.hdf5_marked import UnmarkedFile
 from aerobalance.io.opening import opened_file
 from aerobalance.io.said_by_file import date_of
@@ -64,6 +64,8 @@ class Contents:
     checksums
         Checksum of each channel of each block, shape (blocks, c), where a channel is read without the others; None
         where a block has one.
+    by_sums
+        Whether these are checksums of sums of the samples.
     """
 
     channels: tuple[StoredChannel, ...]
@@ -79,6 +81,7 @@ class Contents:
     marked: bool
     epoch: np.datetime64 | None = None
     checksums: NDArray[np.uint32] | None = None
+    by_sums: bool = False
 
     @property
     def timed(self) -> bool:
@@ -153,7 +156,7 @@ def contents_of(path: Path, file: h5py.File) -> Contents:
         raise ReadError(
             path, "samples", f"must hold {len(channels)} columns of float64 in chunks: the file is damaged"
         )
-    if schema == BY_CHANNEL and samples.chunks[1] != 1:
+    if schema >= BY_CHANNEL and samples.chunks[1] != 1:
         raise ReadError(path, "samples", "must have a chunk for every column: the file is damaged")
     unit = _time_unit(path, file)
     rate = float(_attribute(path, file, "rate"))
@@ -175,7 +178,8 @@ def contents_of(path: Path, file: h5py.File) -> Contents:
         time_unit=unit,
         marked=_is_marked(path),
         epoch=date_of(_attribute(path, file["status"], "epoch")) if "epoch" in file["status"].attrs else None,
-        checksums=_checksums(path, file, blocks, len(channels)) if schema == BY_CHANNEL else None,
+        checksums=_checksums(path, file, blocks, len(channels)) if schema >= BY_CHANNEL else None,
+        by_sums=schema >= BY_SUMS,
     )
 
 

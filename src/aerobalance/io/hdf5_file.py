@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -14,9 +15,11 @@ from numpy.typing import NDArray
 from aerobalance.io.columns import Clock, Heading, RawColumn, RawColumns
 from aerobalance.io.hdf5_closing import SIGNATURE
 from aerobalance.io.hdf5_contents import Contents, contents, contents_of, opened
-from aerobalance.io.hdf5_layout import StoredChannel, checksum, checksum_of_checksums
+from aerobalance.io.hdf5_direct import Filling, places_of_pieces
+from aerobalance.io.hdf5_layout import StoredChannel, checksum, checksum_of_checksums, checksums_of_sums
 from aerobalance.io.hdf5_rows import appending
-from aerobalance.io.measure import beyond_all_measure, take_out
+from aerobalance.io.measure import beyond_all_measure, rows_within_measure, take_out
+from aerobalance.io.series import Fills
 from aerobalance.io.text_layout import Layout
 from aerobalance.recording.channel import Array, SensorSpec
 from aerobalance.recording.errors import ReadError, warn_quality
@@ -62,9 +65,9 @@ def read_blocks(path: Path | str) -> Iterator[tuple[int, Array | None]]:
     file = Path(path)
     with opened(file) as inside:
         found = contents_of(file, inside)
-        data = inside["samples"]
-        for number, block in enumerate(found.blocks):
-            yield int(block["tick"]), read_block(data, found, number)
+        blocks = Blocks(inside, found)
+        for number, tick in enumerate(found.blocks["tick"].tolist()):
+            yield tick, blocks.whole(number)
 
 
 def headings(path: Path) -> tuple[Heading, ...]:
@@ -123,7 +126,7 @@ def read_columns(path: Path, layout: Layout | None = None, *, wanted: Sequence[s
     columns = [raw_column(found.channels[i], readings[k], i + found.timed) for k, i in enumerate(labels)]
     if found.timed:
         time = RawColumn(f"time [{found.time_unit}]", "time", found.time_unit, stamps, 1)
-        return RawColumns(path, (time, *columns), range(1, ticks.size + 1), epoch=found.epoch)
+        return RawColumns(path, (time, *columns), range(1, stamps.size + 1), epoch=found.epoch)
     start = (int(ticks[0]) - found.origin) / found.rate
     ticks = ticks - ticks[0]
     if int(ticks[-1]) + 1 == ticks.size:
@@ -159,58 +162,94 @@ def _not_ended(found: Contents) -> str:
     )
 
 
-def read_block(data: h5py.Dataset, found: Contents, number: int) -> Array | None:
-    """Read one block of the samples of a file, shape (n, c); None where it does not agree with its checksum."""
-    if found.checksums is not None:
-        apart = read_channels(data, found, number, range(len(found.channels)))
-        return None if apart is None else apart.T
-    tick, rows, crc = (int(found.blocks[number][key]) for key in ("tick", "rows", "crc32"))
-    first = number * found.slot
-    samples = np.asarray(data[first : first + rows], dtype=np.float64)
-    return samples if samples.shape[0] == rows and checksum(tick, samples) == crc else None
-
-
-def read_channels(
-    data: h5py.Dataset, found: Contents, number: int, columns: Sequence[int], into: Array | None = None
-) -> Array | None:
-    """Read some channels of one block, shape (k, n); None where these do not agree with their checksums.
-
-    Of a file in which channels are stored apart no others are read.
+class Blocks:
+    """Reads the blocks of an open file.
 
     Parameters
     ----------
-    data, found
-        The samples of a file, and what it says of itself.
-    number
-        The block.
-    columns
-        The channels.
-    into
-        Where to, shape (k, n); anew if left out.
+    file, found
+        The file, and what it says of itself.
     """
-    rows = int(found.blocks[number]["rows"])
-    samples = np.empty((len(columns), rows)) if into is None else into
-    if found.checksums is None:
-        block = read_block(data, found, number)
-        if block is not None:
-            for own, column in zip(samples, columns, strict=True):
-                own[:] = block[:, column]
-        return None if block is None else samples
-    own = found.checksums[number]
-    tick, crc = (int(found.blocks[number][key]) for key in ("tick", "crc32"))
-    first = number * found.slot
-    if first + rows > data.shape[0] or checksum_of_checksums(tick, rows, own) != crc:
-        return None
-    whole = np.empty(found.slot if rows < found.slot else 0)
-    for values, column in zip(samples, columns, strict=True):
-        # past the selections of the library, which take several times as long as the reading
-        into_chunk = whole if whole.size else values
-        data.id.read_direct_chunk((first, column), out=into_chunk.view("u1"))
-        if whole.size:
-            values[:] = whole[:rows]
-        if zlib.crc32(values.data) != own[column]:
+
+    def __init__(self, file: h5py.File, found: Contents) -> None:
+        self._data, self._found = file["samples"], found
+        self._length = self._data.shape[0]
+        self._handle = -1
+        self._places: NDArray[np.int64] | None = None
+        self._located = found.checksums is None
+
+    def whole(self, number: int) -> Array | None:
+        """Read all channels of a block, shape (n, c); None where it does not agree with its checksum."""
+        if self._found.checksums is not None:
+            apart = self.channels(number, range(len(self._found.channels)))
+            return None if apart is None else apart.T
+        tick, rows, crc = (int(self._found.blocks[number][key]) for key in ("tick", "rows", "crc32"))
+        first = number * self._found.slot
+        samples = np.asarray(self._data[first : first + rows], dtype=np.float64)
+        return samples if samples.shape[0] == rows and checksum(tick, samples) == crc else None
+
+    def channels(self, number: int, columns: Sequence[int], into: Array | None = None) -> Array | None:
+        """Read some channels of a block, shape (k, n); None where these do not agree with their checksums.
+
+        Of a file in which channels are stored apart no others are read.
+
+        Parameters
+        ----------
+        number
+            The block.
+        columns
+            The channels.
+        into
+            Where to, shape (k, n); anew if left out.
+        """
+        tick, rows, crc = self._found.blocks[number][["tick", "rows", "crc32"]].item()
+        samples = np.empty((len(columns), rows)) if into is None else into
+        if self._found.checksums is None:
+            block = self.whole(number)
+            if block is not None:
+                for values, column in zip(samples, columns, strict=True):
+                    values[:] = block[:, column]
+            return None if block is None else samples
+        stated = self._found.checksums[number]
+        if number * self._found.slot + rows > self._length or checksum_of_checksums(tick, rows, stated) != crc:
             return None
-    return samples
+        own = stated[columns]
+        if self._read_together(number, columns, samples) and self._agree(samples, own):
+            return samples
+        self._read_apart(number, columns, samples)
+        return samples if self._agree(samples, own) else None
+
+    def _agree(self, samples: Array, own: NDArray[np.uint32]) -> bool:
+        """Whether channels agree with their checksums."""
+        if self._found.by_sums:
+            return bool((checksums_of_sums(samples) == own).all())
+        return all(zlib.crc32(values.data) == one for values, one in zip(samples, own.tolist(), strict=True))
+
+    def _read_together(self, number: int, columns: Sequence[int], samples: Array) -> bool:
+        """Read channels that stand one behind the other in the file at once; whether it could be done."""
+        if samples.shape[1] < self._found.slot or 2 * len(columns) < len(self._found.channels):
+            return False  # where each piece stands takes some time to find out
+        if not self._located:
+            self._places, self._located = places_of_pieces(self._data, len(self._found.blocks)), True
+            self._handle = int(self._data.file.id.get_vfd_handle()) if self._places is not None else -1
+        if self._places is None:
+            return False
+        size = samples.itemsize * self._found.slot
+        places = self._places[number, columns]
+        if places[0] < 0 or (np.diff(places) != size).any():
+            return False
+        return os.preadv(self._handle, list(samples), int(places[0])) == size * len(columns)
+
+    def _read_apart(self, number: int, columns: Sequence[int], samples: Array) -> None:
+        """Read channels one by one, by the library."""
+        first, rows = number * self._found.slot, samples.shape[1]
+        whole = np.empty(self._found.slot if rows < self._found.slot else 0)
+        for values, column in zip(samples, columns, strict=True):
+            # past the selections of the library, which take several times as long as the reading
+            into_chunk = whole if whole.size else values
+            self._data.id.read_direct_chunk((first, column), out=into_chunk.view("u1"))
+            if whole.size:
+                values[:] = whole[:rows]
 
 
 def _numbers(path: Path, found: Contents, wanted: Sequence[str | int] | None) -> list[int]:
@@ -231,42 +270,57 @@ def _numbers(path: Path, found: Contents, wanted: Sequence[str | int] | None) ->
 def _samples(
     path: Path, file: h5py.File, found: Contents, columns: list[int], remarks: list[str]
 ) -> tuple[NDArray[np.int64], Array, Array]:
-    """Read the blocks that agree with their checksums: ticks (n,), readings (k, n), time stamps (n,)."""
+    """Read the blocks that agree with their checksums: ticks (n,), readings (k, n), time stamps (n,).
+
+    Of a file with time stamps the ticks may be left out.
+    """
     total = int(found.blocks["rows"].sum())
     if total < 2:
         raise ReadError(
             path, "", f"is a recording of {total} sample(s) ({found.reason or 'not ended'}); two are needed"
         )
     readings = np.empty((len(columns), total))
-    ticks = np.empty(total, dtype=np.int64)
     stamps = np.empty(total if found.timed else 0)
-    filled = 0
-    data, time = file["samples"], file["time"] if found.timed else None
+    blocks, fill = Blocks(file, found), stamps_of(file, found)
+    taken, filled, within = [], 0, True
     for number, (tick, rows) in enumerate(found.blocks[["tick", "rows"]].tolist()):
         part = slice(filled, filled + rows)
-        if read_channels(data, found, number, columns, readings[:, part]) is None:
+        if blocks.channels(number, columns, readings[:, part]) is None:
             remarks.append(
                 f"block {number + 1} of {len(found.blocks)} ({rows} samples from tick {tick}) does not agree with its "
                 "checksum: it is left out, and its samples count as missing"
             )
             continue
-        ticks[part] = np.arange(tick, tick + rows)
-        if time is not None:
-            first = number * found.slot
-            stamps[part] = time[first : first + rows]
+        within = within and rows_within_measure(readings[:, part])  # while they are in the cache
+        if fill is not None:
+            fill(number * found.slot, stamps[part])
+        taken.append((tick, rows))
         filled += rows
     if filled < 2:
         raise ReadError(path, "blocks", "has no two samples that agree with their checksums: the file is damaged")
-    if not found.timed and int(ticks[filled - 1] - ticks[0]) > LARGEST_GAP * filled:
+    first, last = taken[0][0], sum(taken[-1]) - 1
+    if not found.timed and last - first > LARGEST_GAP * filled:
         raise ReadError(path, "gaps", "has gaps of more than 20 times its samples; use the part before or after them")
     readings = readings[:, :filled]
-    taken = enumerate(map(take_out, readings))
-    large = [(ticks[places[0]], columns[row], places.size) for row, places in taken if places.size]
-    if large:
-        tick, column, _ = min(large)
-        where = f"{found.channels[column].name} at tick {tick}"
-        remarks.append(beyond_all_measure(sum(size for *_, size in large), where))
-    return ticks[:filled], readings, stamps[:filled]
+    ticks = np.empty(0, dtype=np.int64)
+    if not within or not found.timed:
+        ticks = np.concatenate([np.arange(tick, tick + rows) for tick, rows in taken])
+    if not within:
+        found_large = enumerate(map(take_out, readings))
+        large = [(ticks[places[0]], columns[row], places.size) for row, places in found_large if places.size]
+        if large:
+            tick, column, _ = min(large)
+            where = f"{found.channels[column].name} at tick {tick}"
+            remarks.append(beyond_all_measure(sum(size for *_, size in large), where))
+    return ticks, readings, stamps[:filled]
+
+
+def stamps_of(file: h5py.File, found: Contents) -> Fills | None:
+    """Return what reads the time stamps of an open file into an array; None where it has none."""
+    if not found.timed:
+        return None
+    time = file["time"]
+    return Filling(time, lambda begin, end: np.asarray(time[begin:end], dtype=np.float64))
 
 
 def raw_column(channel: StoredChannel, readings: Array, number: int) -> RawColumn:
@@ -321,13 +375,13 @@ __all__ = [
     "LARGEST_GAP",
     "NAME",
     "SUFFIXES",
+    "Blocks",
     "appending",
     "can_read",
     "headings",
     "raw_column",
-    "read_block",
     "read_blocks",
-    "read_channels",
     "read_columns",
     "remarks_on",
+    "stamps_of",
 ]

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from aerobalance.io.clocks import steady_clock_of
 from aerobalance.io.columns import PIECE, RawColumns
 from aerobalance.io.hdf5_contents import Contents, contents_of, opened
-from aerobalance.io.hdf5_file import LARGEST_GAP, raw_column, read_channels, remarks_on
+from aerobalance.io.hdf5_file import LARGEST_GAP, Blocks, raw_column, remarks_on, stamps_of
 from aerobalance.io.measure import beyond_all_measure, take_out
+from aerobalance.io.series import Fills
 from aerobalance.io.table import channels_of, table_from, warn_of_limit, warn_of_missing
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import ReadError, warn_quality
@@ -55,8 +56,11 @@ class Hdf5Record:
     found: Contents
     clock: _Clock
     _means: LateMeans = field(init=False, repr=False)
+    _blocks: Blocks = field(init=False, repr=False)
+    _stamps: Fills | None = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        self._blocks, self._stamps = Blocks(self.file, self.found), stamps_of(self.file, self.found)
         self._means = LateMeans([one.name for one in self.found.channels if one.name == "temperature"], self._mean)
 
     @property
@@ -130,26 +134,26 @@ class Hdf5Record:
         wanted = np.flatnonzero((first < end) & (first + blocks["rows"] > begin))
         table, there = np.empty((len(columns), end - begin)), np.empty(end - begin, dtype=np.intp)
         stamps, filled = np.empty(end - begin if self.found.timed else 0), 0
-        data, time = self.file["samples"], self.file["time"] if self.found.timed else None
         for number in wanted.tolist():
+            since, size = int(first[number]) - begin, int(blocks["rows"][number])
+            kept = slice(max(0, -since), min(size, end - begin - since))
+            part = slice(filled, filled + kept.stop - kept.start)
+            whole = part.stop - part.start == size
             try:
-                samples = read_channels(data, self.found, number, columns)
+                samples = self._blocks.channels(number, columns, table[:, part] if whole else None)
             except (OSError, RuntimeError) as error:
                 raise ReadError(self.path, f"block {number + 1}", f"cannot be read: {error}") from None
             if samples is None:
                 warn_quality(
-                    f"{self.name}: block {number + 1} of {len(blocks)} ({blocks['rows'][number]} samples) does not "
+                    f"{self.name}: block {number + 1} of {len(blocks)} ({size} samples) does not "
                     "agree with its checksum: it is left out, and its samples count as missing"
                 )
                 continue
-            since = int(first[number]) - begin
-            kept = slice(max(0, -since), min(samples.shape[1], end - begin - since))
-            part = slice(filled, filled + kept.stop - kept.start)
             there[part] = np.arange(since + kept.start, since + kept.stop)
-            table[:, part] = samples[:, kept]
-            if time is not None:
-                row = number * self.found.slot
-                stamps[part] = time[row + kept.start : row + kept.stop]
+            if not whole:
+                table[:, part] = samples[:, kept]
+            if self._stamps is not None:
+                self._stamps(number * self.found.slot + kept.start, stamps[part])
             filled = part.stop
         table, there = table[:, :filled], there[:filled]
         taken = enumerate(map(take_out, table))

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import contextlib
 import time as clock
-import zlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aerobalance.io.columns import Append, split_label, time_label
 from aerobalance.io.hdf5_guard import LIBVER, GuardedFile
@@ -21,11 +21,12 @@ from aerobalance.io.hdf5_layout import (
     Provenance,
     StoredChannel,
     checksum_of_checksums,
+    checksums_of_sums,
     disk_full,
     lay_out,
     status_row,
 )
-from aerobalance.io.measure import without_infinities
+from aerobalance.io.measure import rows_within_measure
 from aerobalance.io.safe_write import replacing
 from aerobalance.recording.channel import Array
 
@@ -105,10 +106,10 @@ class _Rows:
     def __init__(self, file: h5py.File, disk: GuardedFile, channels: tuple[StoredChannel, ...], rows: int) -> None:
         self._file, self._disk, self._channels, self._rows = file, disk, channels, rows
         self._samples, self._time = file["samples"], file["time"]
-        self._table, self._stamps = np.empty((len(channels), rows), dtype="<f8"), np.empty(rows)
+        self._table, self._stamps = np.empty((len(channels), rows), dtype="<f8"), np.empty(rows, dtype="<f8")
         self._filled = self._written = 0
         self._blocks: list[tuple[int, int, int, float]] = []
-        self._checksums: list[list[int]] = []
+        self._checksums: list[NDArray[np.uint32]] = []
 
     def append(self, columns: Mapping[str, Array]) -> None:
         """Take the next rows; complete blocks are written, the rest is kept."""
@@ -121,25 +122,20 @@ class _Rows:
         at = 0
         while at < stamps.size and self._disk.failure is None:
             count = min(self._rows - self._filled, stamps.size - at)
-            part = slice(at, at + count)
-            at = part.stop
-            if count == self._rows:  # a whole block, which need not be collected
-                self._write([values[part] for values in given], stamps[part])
-                continue
-            own = slice(self._filled, self._filled + count)
+            part, own = slice(at, at + count), slice(self._filled, self._filled + count)
             self._stamps[own] = stamps[part]
             for column, values in enumerate(given):
                 self._table[column, own] = values[part]
-            self._filled = own.stop
+            at, self._filled = part.stop, own.stop
             if self._filled == self._rows:
-                self._write_collected()
+                self._write()
         self._file.flush()
 
     def finish(self) -> None:
         """Write the rows that are left, the index of the blocks, and the status that the record has ended."""
         if self._filled:
             self._grow(self._written + self._filled)
-            self._write_collected()
+            self._write()
         if self._disk.failure is not None:
             return  # raised when the guarded file is closed
         blocks = np.array(self._blocks, dtype=BLOCK)
@@ -155,27 +151,23 @@ class _Rows:
             self._samples.resize((rows, len(self._channels)))
             self._time.resize((rows,))
 
-    def _write_collected(self) -> None:
-        """Write the rows that were collected as a block."""
-        self._write(list(self._table[:, : self._filled]), self._stamps[: self._filled])
-        self._filled = 0
-
-    def _write(self, columns: Sequence[Array], stamps: Array) -> None:
-        """Write a block, with its checksums."""
-        place = slice(self._written, self._written + stamps.size)
-        own = []
-        for column, given in enumerate(columns):
-            values = np.ascontiguousarray(without_infinities(given), dtype="<f8")
-            own.append(zlib.crc32(values.data))
-            if values.size < self._rows:  # a chunk is whole; the file ends in the middle of the last
-                values = np.concatenate([values, np.full(self._rows - values.size, np.nan)])
+    def _write(self) -> None:
+        """Write the rows that were collected as a block, with its checksums."""
+        rows, first = self._filled, self._written
+        samples = self._table[:, :rows]
+        if not rows_within_measure(samples):
+            samples[~np.isfinite(samples)] = np.nan
+        # a chunk is whole; the file ends in the middle of the last
+        self._table[:, rows:] = self._stamps[rows:] = np.nan
+        own = checksums_of_sums(samples)
+        chunks = self._samples.id
+        for column, values in enumerate(self._table):
             # past the selections of the library, which take longer
-            self._samples.id.write_direct_chunk((place.start, column), values.data)
-        self._time[place] = stamps
-        whole = checksum_of_checksums(place.start, stamps.size, np.array(own, dtype=np.uint32))
+            chunks.write_direct_chunk((first, column), values.data)
+        self._time.id.write_direct_chunk((first,), self._stamps.data)
         self._checksums.append(own)
-        self._blocks.append((place.start, stamps.size, whole, clock.time()))
-        self._written = place.stop
+        self._blocks.append((first, rows, checksum_of_checksums(first, rows, own), clock.time()))
+        self._filled, self._written = 0, first + rows
 
 
 def _stored(
