@@ -12,7 +12,7 @@ import contextlib
 import re
 import warnings
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -295,6 +295,7 @@ def _registry() -> pint.UnitRegistry[float]:
     return pint.UnitRegistry(cache_folder=None)
 
 
+@lru_cache(maxsize=1024)  # every part of a long record asks for the same few
 def _spelled(text: str) -> str:
     """Rewrite the usual spellings of test halls into those of the unit library."""
     text = text.replace("⁻", "^-").replace("^-²", "^-2").replace("^-¹", "^-1")
