@@ -90,15 +90,16 @@ def sensor_said(plain: Mapping[str, Any]) -> SensorSpec:
 
 def clock_of(plain: Mapping[str, Any]) -> Clock | None:
     """Clock that attributes state, by their `plain_keys`; None where they state none."""
-    rates = (number_of(plain.get(key)) for key in RATE_KEYS)
-    intervals = (number_of(plain.get(key)) for key in INTERVAL_KEYS)
+    rates = (number_of(plain[key]) for key in RATE_KEYS if key in plain)
+    intervals = (number_of(plain[key]) for key in INTERVAL_KEYS if key in plain)
     interval = next((given for given in intervals if given is not None), None)
     if interval is None:
         rate = next((given for given in rates if given is not None), None)
         interval = 1 / rate if rate else None
     if interval is None or not _SHORTEST <= interval <= _LONGEST:
         return None
-    start = next((given for key in START_KEYS if (given := number_of(plain.get(key))) is not None), 0.0)
+    starts = (number_of(plain[key]) for key in START_KEYS if key in plain)
+    start = next((given for given in starts if given is not None), 0.0)
     return Clock(start, interval)
 
 
