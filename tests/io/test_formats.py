@@ -423,6 +423,21 @@ def test_numbers_of_matlab_5_are_read_in_parts_where_they_are_not_packed(tmp_pat
             np.testing.assert_array_equal(read(path, channel_map=chosen).channel("AF").values, expected)
 
 
+def test_channels_of_one_name_are_told_apart_by_number(tmp_path, rng) -> None:
+    asammdf = pytest.importorskip("asammdf")
+    path, toml = tmp_path / "a.mf4", tmp_path / "map.toml"
+    time, (first, second) = np.arange(500) / 1000.0, rng.standard_normal((2, 500))
+    with asammdf.MDF(version="4.10") as file:
+        file.append([asammdf.Signal(one, time, name="AF", unit="N") for one in (first, second)])
+        file.save(path, overwrite=True)
+    with pytest.raises(ReadError, match=r"column 3 .*there is a column AF already \(column 2"):
+        read(path)
+    toml.write_text('[channels.AF]\ncolumn = 2\nunit = "N"\n[channels.NF]\ncolumn = 3\nunit = "N"\n')
+    found = read(path, channel_map=load_channel_map(toml))
+    np.testing.assert_array_equal(found.channel("AF").values, first)
+    np.testing.assert_array_equal(found.channel("NF").values, second)
+
+
 def test_matlab_5_of_another_byte_order(tmp_path) -> None:
     """After the format's description: two double arrays, written here as a machine of the other byte order does."""
 

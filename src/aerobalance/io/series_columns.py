@@ -66,10 +66,8 @@ def columns_of(
     clocks = {axis: _clock_of(path, by_label(found, axis)) for axis in axes if axis}
     values = read_all(path, [series for _, series in chosen])
     columns = tuple(
-        replace(
-            bare_column(number, series), values=values[series.label], clock=series.clock or clocks.get(series.axis)
-        )
-        for number, series in chosen
+        replace(bare_column(number, series), values=one, clock=series.clock or clocks.get(series.axis))
+        for (number, series), one in zip(chosen, values, strict=True)
     )
     most = max((column.values.size for column in columns), default=0)
     return RawColumns(path, columns, range(1, most + 1), epoch=found.epoch)
@@ -137,9 +135,11 @@ def _on_one_axis(
     axis = by_label(found, label)
     place = 1 + found.series.index(axis)
     others = [(number, series) for number, series in chosen if number != place]
-    values = read_all(path, [axis, *(series for _, series in others)])
-    columns = [replace(bare_column(number, series), values=values[series.label]) for number, series in others]
-    time = replace(bare_column(place, axis), values=values[axis.label])
+    stamps, *values = read_all(path, [axis, *(series for _, series in others)])
+    columns = [
+        replace(bare_column(number, series), values=one) for (number, series), one in zip(others, values, strict=True)
+    ]
+    time = replace(bare_column(place, axis), values=stamps)
     columns.insert(0, replace(time, name="time") if named else time)
     rows = range(1, columns[0].values.size + 1)
     return RawColumns(path, tuple(columns), rows, time=place, epoch=axis_epoch(path, found, axis))

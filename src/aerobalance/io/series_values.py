@@ -19,24 +19,26 @@ _FILLED: Final = 1 << 18
 """Samples of a series that are read, and looked at while they are in the cache, at once: what is fastest."""
 
 
-def read_all(path: Path, series: Sequence[Series]) -> dict[str, Array]:
-    """Read the samples of several series, by label; what is stored together is read once."""
-    blocks: dict[tuple[str, int], list[Series]] = {}
-    for one in series:
-        blocks.setdefault((one.block or one.label, one.samples), []).append(one)
-    found = {}
-    for (_, samples), members in blocks.items():
+def read_all(path: Path, series: Sequence[Series]) -> list[Array]:
+    """Read the samples of several series, in their order; what is stored together is read once."""
+    blocks: dict[tuple[str, int, int], list[int]] = {}
+    for place, one in enumerate(series):
+        alone = -1 if one.block else place  # labels may repeat themselves
+        blocks.setdefault((one.block, one.samples, alone), []).append(place)
+    found: dict[int, Array] = {}
+    for (_, samples, _), members in blocks.items():
         if len(members) == 1:
-            found[members[0].label] = read_values(path, members[0])
+            found[members[0]] = read_values(path, series[members[0]])
             continue
-        values, within = {one.label: np.empty(samples) for one in members}, {one.label: True for one in members}
+        values, within = {place: np.empty(samples) for place in members}, dict.fromkeys(members, True)
         for begin in range(0, samples, PIECE):
-            for one in members:
-                part = values[one.label][begin : begin + PIECE]
-                _read_into(path, one, begin, part)
-                within[one.label] = within[one.label] and within_measure(part)
-        found |= {key: one if within[key] else _taken_out(path, _place(key), one) for key, one in values.items()}
-    return found
+            for place in members:
+                part = values[place][begin : begin + PIECE]
+                _read_into(path, series[place], begin, part)
+                within[place] = within[place] and within_measure(part)
+        for place, cells in values.items():
+            found[place] = cells if within[place] else _taken_out(path, _place(series[place].label), cells)
+    return [found[place] for place in range(len(series))]
 
 
 def _read_into(path: Path, series: Series, begin: int, into: Array) -> None:
