@@ -25,7 +25,13 @@ class EvidenceSettings:
     peaks
         Peaks of the spectrum that are tried as a resonance, at most.
     stands_out
-        Level of such a peak over the median about it [1].
+        Level of such a peak over the median about it [1]: of a single ordinate, and of the mean of several, which
+        chance has as rarely.
+    several
+        Ordinates from which on they are that.
+    width
+        Damping ratio over which a peak is averaged to find its frequency: the highest ordinate of a peak that has
+        several lies anywhere within it.
     surroundings
         Half width of what is about a peak, over its frequency.
     near
@@ -35,7 +41,9 @@ class EvidenceSettings:
     """
 
     peaks: int = 3
-    stands_out: float = 8.0
+    stands_out: tuple[float, float] = (8.0, 5.0)
+    several: int = 4
+    width: float = 0.008
     surroundings: float = 0.2
     near: float = 0.04
     samples: int = LONGEST
@@ -85,6 +93,16 @@ class Evidence:
         """Logarithm of the likelihood of the reading with dynamics, less the price of the force's spectrum."""
         return self._fit(dynamics).evidence
 
+    def beside(self, dynamics: ModalModel, line: tuple[float, float]) -> float:
+        """The same without the ordinates of a line, from one frequency to another [Hz]."""
+        periodogram, fit = self._periodogram(dynamics), self._fit(dynamics)
+        model = periodogram.load(fit.spectrum) + periodogram.background(fit.noise_density)
+        spent = periodogram.weight * (np.log(model) + periodogram.density / model)
+        last = periodogram.edges + periodogram.count - 1
+        frequency = periodogram.ordinates[0]
+        within = (frequency[last] >= line[0]) & (frequency[periodogram.edges] <= line[1])
+        return fit.evidence + float(spent[within].sum())
+
     def nearly(self, dynamics: ModalModel, start: ModalModel) -> float:
         """The same, at most, of dynamics nearly like others: with a spectrum of the kind that is best with those."""
         periodogram = self._periodogram(dynamics)
@@ -130,13 +148,24 @@ class Evidence:
         above = level - _medians(level, middle)
         for mode in dynamics.modes:
             above[np.abs(middle / mode.natural_frequency - 1) < SETTINGS.near] = 0.0
+        single, several = np.log(SETTINGS.stands_out)
+        above[above < np.where(np.diff(edges) < SETTINGS.several, single, several)] = 0.0
         found: list[float] = []
-        while len(found) < SETTINGS.peaks and above.max() > np.log(SETTINGS.stands_out):
+        while len(found) < SETTINGS.peaks and above.max() > 0:
             place = int(np.argmax(above))
             own = slice(edges[place], edges[place + 1])
-            found.append(float(frequency[own][np.argmax(power[own])]))
+            found.append(float(frequency[own][np.argmax(_averaged(power, own))]))
             above[np.abs(middle / middle[place] - 1) < SETTINGS.surroundings] = 0.0
         return found
+
+
+def _averaged(power: Array, own: slice) -> Array:
+    """Power at some ordinates, averaged over as wide a peak as a mode there makes, of their number."""
+    reach = int(SETTINGS.width * own.start)
+    around = np.concatenate([[0.0], np.cumsum(power[max(own.start - reach, 0) : own.stop + reach])])
+    first = np.arange(own.stop - own.start)
+    last = np.minimum(first + 2 * reach + 1, around.size - 1)
+    return np.asarray((around[last] - around[first]) / (last - first))
 
 
 def _medians(level: Array, middle: Array) -> Array:
