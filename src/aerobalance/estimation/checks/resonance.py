@@ -45,7 +45,7 @@ class ResonanceSettings:
         and how fast that grows. Of 1100 records that agree, of eleven kinds, 11 reached 4, 2 reached 6 and one
         reached 10.
     open_far, open_far_half
-        The same of a further mode, the price of its numbers paid.
+        The same of a further mode, the price of its numbers paid, and of a balance that does not ring.
     usual
         Factor by which a damping ratio is usually off, one standard deviation of its logarithm: of a short record a
         resonance of any width may be left, and one ten times as wide is not as likely as one that is nearly the same.
@@ -53,7 +53,7 @@ class ResonanceSettings:
         Gain of the expected dynamics with the steps that were found over other ones, from which on these are not
         believed. A missing mode that is taken for a slower release gives up to 23; a square wave 120 and more.
     many
-        Steps from which on a resonance as narrow as a line of their spectrum is one, and no resonance.
+        Steps more than a period apart from which on a resonance as narrow as a line of their spectrum is one, and no resonance.
     confirmed
         Gain of the dynamics over a balance that does not ring, from which it is certain that it rings near there.
     far, broad
@@ -191,7 +191,11 @@ def spoken_for(
     confirmed = own - evidence.of(none)
     tried = [("no resonance", none), *_others(dynamics, peaks, confirmed=confirmed)]
     best = max(evidence.of(other) for _, other in tried) - own
-    clear = None if best < SETTINGS.decisive else _clearest(evidence, dynamics, tried, own=own, best=best)
+    clear = None
+    if best >= SETTINGS.decisive:
+        clear = _clearest(evidence, dynamics, tried, own=own, best=best)
+    elif -confirmed >= SETTINGS.open_far and not steps:
+        clear = _open_far(Spoken("no resonance", none, -confirmed))
     if clear is not None:
         clear = _named(clear, evidence, dynamics, confirmed=confirmed)
     if clear is not None and steps and beside_steps is not None:
@@ -201,7 +205,7 @@ def spoken_for(
             _evidence_beside(evidence, beside_steps(one, some), one, some)
             for one, some in ((dynamics, steps), (clear.dynamics, steps), (clear.dynamics, largest))
         ]
-        line = len(steps) >= SETTINGS.many and clear.kind in MOVED
+        line = _apart(steps, dynamics) >= SETTINGS.many and clear.kind in MOVED
         if with_steps[0] > max(*with_steps[1:], evidence.of(clear.dynamics)) + SETTINGS.by_steps or (
             line and _is_line(clear.dynamics.modes[0], evidence, width=SETTINGS.line_beside)
         ):
@@ -236,10 +240,7 @@ def _clearest(
         spoken = Spoken(spoken.kind, other, evidence.of(other) - own - _price(spoken.kind, evidence))
     if spoken.gain >= SETTINGS.decisive:
         return spoken
-    if spoken.kind == "missing mode" and spoken.gain >= SETTINGS.open_far:
-        likely = float(expit(SETTINGS.open_steepness * (spoken.gain - SETTINGS.open_far_half)))
-        return spoken._replace(probability=likely)
-    return None
+    return _open_far(spoken) if spoken.kind == "missing mode" and spoken.gain >= SETTINGS.open_far else None
 
 
 def _beside(
@@ -270,6 +271,12 @@ def _beside(
     return left_open(spoken, gain - 0.5 * off**2)
 
 
+def _open_far(spoken: Spoken) -> Spoken:
+    """The same, far from the expected dynamics, with its probability by its gain, which is not decisive."""
+    likely = float(expit(SETTINGS.open_steepness * (spoken.gain - SETTINGS.open_far_half)))
+    return spoken._replace(probability=likely)
+
+
 def left_open(spoken: Spoken, gain: float) -> Spoken | None:
     """The same with its probability by a gain in log-likelihood that is not decisive; None where chance gives that."""
     if gain < SETTINGS.open_from:
@@ -281,6 +288,16 @@ def _price(kind: str, evidence: Evidence) -> float:
     """Schwarz's price of the numbers that dynamics have more than those known."""
     numbers = {"no resonance": 0, "natural frequency": 2, "damping ratio": 1, "missing mode": 3}[kind]
     return 0.5 * numbers * float(np.log(evidence.values.size / 2))
+
+
+def _apart(steps: Sequence[Step], dynamics: Dynamics) -> int:
+    """Number of steps of which those less than a period of the balance apart count as one: they mend each other."""
+    ends = -np.inf
+    count = 0
+    for step in sorted(steps, key=lambda one: one.instant):
+        count += step.instant > ends + 1 / dynamics.natural_frequency
+        ends = max(ends, step.instant + step.duration)
+    return count
 
 
 def _evidence_beside(evidence: Evidence, left: Array, dynamics: Dynamics, steps: Sequence[Step]) -> float:
