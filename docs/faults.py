@@ -22,7 +22,8 @@ FIT = "fit for use"
 HEAD = """# Faults
 
 Records of a known force that are wrong in one thing each, and sound ones, simulated apart from the package
-(`tests/faults`); axial component of the paper's balance, mostly 2.5 s at 1600 Hz and 2 N of noise; {seeds} a kind.
+(`tests/faults`); axial component of the paper's balance, mostly 2.5 s at 1600 Hz and 2 N of noise; {seeds} a kind, of
+sound ones {sound}.
 Error and u are medians of the rms over a record, in N (of six components in percent of half range); cover is the share
 of samples within 95 % intervals. A row is marked where an error of more than 3 u is called fit for use. What a record
 cannot show is marked "assumed": filters and gains of its only channel; and dynamics where the log-likelihood of the
@@ -53,8 +54,11 @@ SUBJECTS = {
 
 def page(rows: list[dict[str, Any]]) -> str:
     """Return the page: what came of all, and a table for each subject."""
-    seeds = 1 + max(row["seed"] for row in rows)
-    parts = [HEAD.format(seeds=seeds), *summary(rows)]
+    seeds, sound = (
+        1 + max((row["seed"] for row in rows if (row["group"] == "sound") == of_sound), default=-1)
+        for of_sound in (False, True)
+    )
+    parts = [HEAD.format(seeds=seeds, sound=sound), *summary(rows)]
     for group, title in SUBJECTS.items():
         own = [row for row in rows if row["group"] == group]
         if own:

@@ -181,7 +181,9 @@ def sound() -> list[Case]:
         "sine 17 Hz": together(shaped(lambda t: 40 * np.sin(2 * np.pi * 17.3 * t)), band(10.0, 0, 30)),
     }
     found = [Case(name, "sound", Scene(force)) for name, force in kinds.items()]
+    # long ones also of loads with edges, lines and steps: the local fit of a further mode is of these alone
     long = ("0-100 Hz, 200 N", "soft 30 Hz, 100 N", "step", "narrow at 40 Hz")
+    long += ("0-60 Hz, 60 N", "narrow at 66 Hz", "sine 17 Hz", "two steps")
     found += [Case(f"{name}, 10 s", "sound", Scene(kinds[name], LONG)) for name in long]
     for name in ("0-100 Hz, 200 N", "step", "soft 30 Hz, 100 N"):
         force = kinds[name]

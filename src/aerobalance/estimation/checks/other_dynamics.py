@@ -15,6 +15,7 @@ import numpy as np
 
 from aerobalance.dynamics.modal import ModalModel, Mode
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.checks.evidence import Evidence
 from aerobalance.estimation.checks.local_modes import Averaged, missing_mode, own_resonance
 from aerobalance.estimation.checks.peaks import Peak
 from aerobalance.estimation.checks.resonance import Spoken, left_open, spoken_for
@@ -234,7 +235,10 @@ def other_dynamics_in(
     found = _possible(
         _in_spectrum(left, dynamics, interval=reading.interval, noise=noise), most=float(np.nanstd(known))
     )
-    if found.missing is not None and learned is not None and _looks_alike(found.missing, learned, reading.interval):
+    if found.missing is not None and (
+        (learned is not None and _looks_alike(found.missing, learned, reading.interval))
+        or not _gains(found.missing, left, reading, noise=noise)
+    ):
         found = replace(found, missing=None, size=None)
     if within and learned is not None:
         change, covariance, gain = change_by_steps(reading, within, learned)
@@ -273,6 +277,18 @@ def _spoken(spoken: Spoken, dynamics: Dynamics) -> OtherDynamics:
     return OtherDynamics(
         dynamics.component, frequency=frequency, damping=(ratio, np.nan) if abs(ratio) > ROUNDING else None
     )
+
+
+def _gains(mode: Mode, left: Array, reading: Observation, *, noise: float) -> bool:
+    """Whether a further mode is likelier than none where the force has any spectrum and no power of frequency.
+
+    The two edges of a narrow band may leave one where its spectrum is taken for a power of frequency with one edge.
+    """
+    known = reading.dynamics
+    other = known.with_modes(*known.modes[1:], mode)
+    floor = (SETTINGS.least_noise * noise) ** 2 * reading.interval
+    evidence = Evidence(left - left.mean(), reading.interval, floor, among=(known, other))
+    return evidence.of(other) > evidence.of(known)
 
 
 def _looks_alike(mode: Mode, learned: SpectralPrior, interval: float) -> bool:

@@ -53,7 +53,8 @@ class ResonanceSettings:
         Gain of the expected dynamics with the steps that were found over other ones, from which on these are not
         believed. A missing mode that is taken for a slower release gives up to 23; a square wave 120 and more.
     many
-        Steps more than a period apart from which on a resonance as narrow as a line of their spectrum is one, and no resonance.
+        Steps more than a period apart from which on a resonance as narrow as a line of their spectrum is one, and no
+        resonance.
     confirmed
         Gain of the dynamics over a balance that does not ring, from which it is certain that it rings near there.
     far, broad
