@@ -146,3 +146,28 @@ def test_a_balance_without_mass_or_angle_says_nothing(rng):
     assert turning_by_angles(run.recording, replace(dynamics, mass=None), estimates) == []
     bare = replace(run.recording, channels={name: run.recording.channel(name) for name in COMPONENTS})
     assert turning_by_angles(bare, dynamics, estimates) == []
+
+
+@pytest.mark.parametrize("turning", ["acceleration", "rate"])
+@pytest.mark.soak(first=1)
+def test_the_weight_that_unrecorded_angles_turn_is_in_the_uncertainty(turning, rng):
+    """AF has M g times the pitch, SF M g times the roll: all of it is an error where no angle is recorded.
+
+    An error known but for its sign is once its uncertainty. Up to a tenth of it goes with the line that is taken off.
+    """
+    balance, rms = random_balance(rng), np.zeros(6)
+    rms[[COMPONENTS.index("PM"), COMPONENTS.index("RM")]] = 3.0
+    base = random_motion(rng, Band(2.0, 8.0), rms=rms, period=4.0)
+    rig = SixComponentRig(balance, base=base, output="loads", rate=RATE, turning=turning)
+    run = rig.run(2.0, rng)
+    recording = run.recording
+    bare = replace(
+        recording, channels={name: one for name, one in recording.channels.items() if name not in ("pitch", "roll")}
+    )
+    found = forces(bare, replace(balance.dynamics, mass=balance.mass))
+    for name, angle, what in (("AF", run.pitch, "pitch"), ("SF", run.roll, "roll")):
+        assert f"weight that turns with unrecorded {what}" in found[name].budget
+        error = found[name].values - run.applied[:, COMPONENTS.index(name)]
+        size = balance.mass.mass * 9.80665 * np.std(angle)
+        assert np.std(error) == pytest.approx(size, rel=0.02)  # sin of up to 0.05 rad, and the line of its own
+        assert np.sqrt(np.mean(found[name].uncertainty ** 2)) == pytest.approx(np.std(error), rel=0.1)

@@ -16,7 +16,7 @@ from aerobalance.motion.attitude import Attitude
 from aerobalance.motion.consistency import Effect, check_agreement
 from aerobalance.motion.gaps import GAP
 from aerobalance.motion.least_squares import GroundFit
-from aerobalance.motion.rotation import Turning
+from aerobalance.motion.rotation import Turning, turned_by
 from aerobalance.motion.sensors import driving_sensors, ground_sensors, motion_name
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import (
@@ -26,16 +26,21 @@ from aerobalance.recording.components import (
     FORCE_ROWS,
     IS_FORCE,
     MOMENT_ROWS,
+    MOMENTS,
     STANDARD_GRAVITY,
     acceleration_name,
     driving_axis,
 )
+from aerobalance.recording.gravity import Gravity
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import held_by_delays
 from aerobalance.recording.sensors import corrected
 
 GAINS: Final = ("accelerometer gain", "turn sensor gain")
 """Names of what is not known of the sensors' gains."""
+
+UNRECORDED: Final = "weight that turns with unrecorded "
+"""Name of what turns change of the weight where no angle is recorded, before the angle."""
 
 TURNING: Final = "w x (w x r) by integrated turns"
 """Name of what is not known of the rate of turn."""
@@ -367,12 +372,29 @@ class MotionRecord:
             for column in self.pull.gaps[name].T:
                 by = slope * column[:, None]
                 yield Effect(f"{GAP}{name}", name, 1.0, self._felt_by(by), -by)
+        yield from self._unrecorded_attitude(found)
         if found.uncertainty:
             yield Effect(TURNING, "rate of turn", found.uncertainty, dict(enumerate(found.felt.T)))
         if gravity_uncertainty:
             by = self.pull.acceleration / self.pull.gravity
             on_zero_by = on_zero.acceleration / self.pull.gravity
             yield Effect("gravity", "gravity", gravity_uncertainty, self._felt_by(by), on_zero_by - by)
+
+    def _unrecorded_attitude(self, found: Turning) -> Iterator[Effect]:
+        """What turns that the sensors show change of the weight, where no angle tells the attitude.
+
+        It is not taken off: from which attitude it turns is not known, and slow turns are lost with the lines that the
+        sensors' zeros make. At level attitude it is what the forces have too much at most.
+        """
+        if self.pull.angles or self.along is not None or not found.rate.any():
+            return
+        angles, still = turned_by(self.first, found.rate), np.zeros(1)
+        slopes = Gravity.of(still, still, gravity=self.pull.gravity).slopes
+        for name, turn in (("pitch", "PM"), ("roll", "RM")):
+            angle = angles[:, MOMENTS.index(turn)]
+            if angle.any():
+                by = angle[:, None] * slopes[name]
+                yield Effect(f"{UNRECORDED}{name}", f"turns along {turn}", 1.0, self._felt_by(by), -by)
 
     def _felt_by(self, pull: Array) -> dict[int, Array]:
         felt = felt_of(self.first, pull)

@@ -31,6 +31,8 @@ class TurningSettings:
         Standard uncertainty of w x (w x r) where w is integrated, relative [1]: its line holds motion.
     walk
         Rms of the integral of white noise less its line, over noise sqrt(n) / rate: 1 / sqrt(15).
+    walk_of_angle
+        The same of the second integral, over noise n^1.5 / rate^2, where either is less its line.
     mostly_noise
         Share of the integral's rms from which such a walk makes it worthless.
     """
@@ -39,6 +41,7 @@ class TurningSettings:
     settled: float = 0.03
     integrated: float = 0.1
     walk: float = 0.26
+    walk_of_angle: float = 0.03
     mostly_noise: float = 0.5
 
 
@@ -111,6 +114,25 @@ class Turning:
         return cls(
             motion, rate, felt, True, float(np.hypot(SETTINGS.integrated, 2 * share)) if integrated else 0.0, told
         )
+
+
+def turned_by(fit: GroundFit, rate: Array) -> Array:
+    """Angles that a rate of turn (n, 3) adds up to, less their lines, shape (n, 3) [rad]; 0 where these are noise."""
+    count, recorded = len(rate), _recorded(fit)
+    angles = np.zeros_like(rate)
+    for place, turn in enumerate(MOMENT_ROWS):
+        if not rate[:, place].any():
+            continue
+        angle = _integrated(rate[:, place], fit.rate)
+        if place in recorded:
+            noise = min(s.noise for s in fit.sensors if s.kind == "rate" and np.argmax(np.abs(s.row)) == turn)
+            walk = SETTINGS.walk * noise * np.sqrt(count) / fit.rate
+        else:
+            noise = float(np.sqrt(max(fit.covariance[turn, turn], 0.0)))
+            walk = SETTINGS.walk_of_angle * noise * count**1.5 / fit.rate**2
+        if walk <= SETTINGS.mostly_noise * float(_rms(angle)):
+            angles[:, place] = angle
+    return angles
 
 
 def _recorded(fit: GroundFit) -> set[int]:
