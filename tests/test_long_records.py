@@ -366,6 +366,27 @@ def test_parts_that_contradict_each_other_are_told(rng):
     assert parts[1].uncertainty["AF"][joint] == pytest.approx(20.0, rel=0.05)
 
 
+def test_dynamics_that_one_part_shows_to_be_others_count_in_those_after_it(rng):
+    """A step rings with another frequency in the first part; later a slow force does not show it, and is as wrong.
+
+    Its error is known: the difference to what the right dynamics give.
+    """
+    record = run(rng, count=30_000, steps=[3000])
+    wrong = T128.retuned(frequency=1.05, damping=1.0)
+    with pytest.warns(DataQualityWarning, match="natural frequency"):
+        parts = list(divided(record, wrong).parts())
+    right = divided(record).force().only.values
+    last = parts[-1]
+    assert not last.doubts
+    own = slice(last.first, last.first + last.values["AF"].size)
+    error, u = last.values["AF"] - right[own], last.uncertainty["AF"]
+    # the part of its force that an error goes with may be twice or half of what it is in the first part
+    assert 0.4 < rms(error) / rms(u) < 2.0
+    assert any(one.name == "doubt: natural frequency" for one in last.contributions["AF"])
+    squares = sum(one.deviation**2 for one in last.contributions["AF"])
+    assert u == pytest.approx(np.sqrt(squares), rel=0.05)
+
+
 # --- words
 
 

@@ -194,7 +194,7 @@ def test_a_mode_that_is_low_or_taken_for_noise_is_named_and_counted(name, seed):
 
 
 def test_steps_that_mend_each_other_are_no_load_of_many_steps():
-    """One release, read with a fifth of its rate: five steps within 80 ms stand for it, and no line for its ringing."""
+    """One release, read with a fifth of its rate: five steps within 80 ms stand for it, and no line for its swing."""
     (case,) = [case for case in all_cases() if case.name == "rate 0.2 times the true one, step"]
     found = trial((case, 0))
     assert "natural frequency" in found["kinds"]

@@ -30,13 +30,19 @@ from aerobalance.estimation.steps import Step
 from aerobalance.estimation.sums import SampledForce
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
-from aerobalance.recording.doubts import Doubt
+from aerobalance.recording.doubts import DOUBTED, Doubt
 from aerobalance.recording.part_warnings import PartWarnings
 from aerobalance.recording.parts import LongRecord, Part, parts_of
 from aerobalance.recording.recording import Recording
 
 JOINTS: Final = "joints of the parts"
 """Name of what the forces of two parts differ by where they meet."""
+
+COMMON: Final = tuple(
+    f"{DOUBTED}{kind}"
+    for kind in ("natural frequency", "damping ratio", "missing mode", "not linear", "ground", "attitude")
+)
+"""How the names of errors begin whose cause is in all parts of a record, though some may not show it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,6 +226,12 @@ class _Ending:
     steps: Mapping[str, tuple[Step, ...]]
 
 
+def _going_with(force: Force, component: str, source: str) -> float:
+    """Standard deviation of the channel that an error is from, or else of the force [of its unit, N, N*m]."""
+    channel = force.recording.channels.get(source)
+    return float(np.nanstd(force[component].values if channel is None else channel.values))
+
+
 @dataclass(slots=True, eq=False)
 class Joiner:
     """Joins the parts of a record, given one after the other.
@@ -241,6 +253,8 @@ class Joiner:
     division: Division
     warnings: PartWarnings
     _before: _Ending | None = None
+    # of each component the errors whose cause is common: their size over that of what they go with, and their spectra
+    _shown: dict[tuple[str, str, str], tuple[float, Array]] = field(default_factory=dict)
 
     def joined(self, part: Part, force: Force | None) -> ForcePart:
         """Return the samples that are certain with one more part; None for one without readings."""
@@ -258,6 +272,10 @@ class Joiner:
             else:
                 value, u = force[name].values, force[name].uncertainty
                 sources = undivided(force[name].contributions)
+                common = self._shown_before(force, name, sources)
+                if common:
+                    u = np.sqrt(u**2 + sum(one.deviation**2 for one in common))
+                    sources += common
             tails[name], spread[name] = value[after].copy(), u[after].copy()
             values[name], us[name] = value[own].copy(), u[own].copy()
             parts = [one.within(own) for one in sources]
@@ -275,6 +293,28 @@ class Joiner:
         self._before = _Ending(tails, spread, later)
         where = part.told(self.record)
         return ForcePart(part, first, values, us, contributions, certain, force, where, tuple(doubts))
+
+    def _shown_before(self, force: Force, name: str, sources: Sequence[Systematic | Noise]) -> list[Noise]:
+        """Errors of a component that this part does not show, and one before it did: the cause is common to both.
+
+        They are taken for as large over what they go with as they were there at most: the ground's channel, or the
+        fluctuation of the force where dynamics are the cause.
+        """
+        sizes: dict[tuple[str, str, str], float] = {}
+        for one in sources:
+            if one.name.startswith(COMMON):
+                size = float(np.sqrt(np.mean(one.deviation**2))) / max(_going_with(force, name, one.source), 1e-300)
+                key = (name, one.name, one.source)
+                sizes[key] = size
+                spectrum = one.spectrum if isinstance(one, Noise) else np.ones(1)
+                if key not in self._shown or size > self._shown[key][0]:
+                    self._shown[key] = size, spectrum
+        count = force.recording.samples
+        return [
+            Noise(what, source, np.full(count, share * _going_with(force, name, source)), spectrum)
+            for (component, what, source), (share, spectrum) in self._shown.items()
+            if component == name and (component, what, source) not in sizes
+        ]
 
     def _pass_over(self, before: _Ending, name: str, values: Array, u: Array) -> tuple[Array, Doubt | None]:
         """Let the force of the part before pass into this one's, in place; return what they leave open, (2 h,) [N]."""
