@@ -657,6 +657,25 @@ def loads_that_change() -> Iterator[Case]:
         Scene(shaped(lambda t: 100 * np.sin(2 * np.pi * (10 * t + 38 * np.clip(t, 0, 2.5) ** 2)) * (t > 0))),
         (),
     )
+    for name, first, growth in (("1 to 200 Hz", 1.0, 199.0), ("40 to 100 Hz", 40.0, 60.0)):
+        yield Case(
+            f"chirp of {name}, 200 N",
+            "load",
+            Scene(
+                shaped(
+                    lambda t, first=first, growth=growth: (  # type: ignore[misc]
+                        200 * np.sin(2 * np.pi * (first * t + growth / 5 * np.clip(t, 0, 2.5) ** 2))
+                    )
+                )
+            ),
+            (),
+        )
+    yield Case(
+        "logarithmic chirp of 2 to 200 Hz, 200 N",
+        "load",
+        Scene(shaped(lambda t: 200 * np.sin(4 * np.pi * 2.5 / np.log(100) * (100 ** (np.clip(t, 0, 2.6) / 2.5) - 1)))),
+        (),
+    )
     yield Case("sine at f0, 20 N", "load", Scene(shaped(lambda t: 20 * np.sin(2 * np.pi * FREQUENCY * t))), ())
     yield Case("ramp to 1000 N", "load", Scene(shaped(lambda t: 400 * np.clip(t, 0, 2.5))), ())
 
