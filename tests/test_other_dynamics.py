@@ -193,6 +193,14 @@ def test_a_mode_that_is_low_or_taken_for_noise_is_named_and_counted(name, seed):
     assert found["error"] < 3 * found["u"]
 
 
+def test_noise_with_a_color_is_no_other_natural_frequency():
+    """It rises towards half the rate: as a force it would pass a balance that rings beyond, or not at all."""
+    (case,) = [case for case in all_cases() if case.name == "50 f0, noise rising, 0-20 Hz"]
+    found = trial((case, 0))
+    assert found["verdict"] == "fit for use"
+    assert "natural frequency" not in found["kinds"]
+
+
 def test_steps_that_mend_each_other_are_no_load_of_many_steps():
     """One release, read with a fifth of its rate: five steps within 80 ms stand for it, and no line for its swing."""
     (case,) = [case for case in all_cases() if case.name == "rate 0.2 times the true one, step"]

@@ -226,6 +226,7 @@ def other_dynamics_in(
         interval=reading.interval,
         least_noise=max(reading.least_noise, SETTINGS.least_noise * noise),
         learned=learned,
+        color_found=record.noise is None,
         steps=within,
         beside_steps=beside_steps,
     )

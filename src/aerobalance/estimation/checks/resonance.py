@@ -149,6 +149,7 @@ def spoken_for(
     interval: float,
     least_noise: float,
     learned: SpectralPrior | None = None,
+    color_found: bool = True,
     steps: Sequence[Step] = (),
     beside_steps: Callable[[Dynamics, Sequence[Step]], Array] | None = None,
 ) -> Spoken | None:
@@ -166,6 +167,8 @@ def spoken_for(
         Least noise of a reading [N].
     learned
         What was learned of force and noise; None if nothing was.
+    color_found
+        Whether the color of the noise was found in the record, and not in one of noise alone.
     steps, beside_steps
         Steps that were found in them, and what the readings are without some of these and without the free oscillation
         from their begin with some dynamics, shape (n,) [N]. The ringing after steps tells more of a resonance near the
@@ -182,12 +185,6 @@ def spoken_for(
     peaks = evidence.peaks(dynamics)
     others = [other for _, other in _others(dynamics, peaks, confirmed=-np.inf)]
     evidence = replace(evidence, among=(dynamics, none, *others, *(() if near is None else (near,))))
-    if evidence.color is not None:
-        # it was found with the expected dynamics: where a force explains the readings better than such a noise, what
-        # it has of a resonance that they lack is no noise
-        plain = replace(evidence, white=None, color=None, rising=True, _known={}, _edges=None)
-        if plain.of(dynamics) > evidence.of(dynamics):
-            evidence = plain
     own = evidence.of(dynamics)
     confirmed = own - evidence.of(none)
     tried = [("no resonance", none), *_others(dynamics, peaks, confirmed=confirmed)]
@@ -197,6 +194,10 @@ def spoken_for(
         clear = _clearest(evidence, dynamics, tried, own=own, best=best)
     elif -confirmed >= SETTINGS.open_far and not steps:
         clear = _open_far(Spoken("no resonance", none, -confirmed))
+    if evidence.color is not None and color_found and (clear is None or clear.probability < 1):
+        plain = _without_color(evidence, dynamics, tried)
+        if plain is not None:
+            evidence, clear = plain
     if clear is not None:
         clear = _named(clear, evidence, dynamics, confirmed=confirmed)
     if clear is not None and steps and beside_steps is not None:
@@ -242,6 +243,25 @@ def _clearest(
     if spoken.gain >= SETTINGS.decisive:
         return spoken
     return _open_far(spoken) if spoken.kind == "missing mode" and spoken.gain >= SETTINGS.open_far else None
+
+
+def _without_color(
+    evidence: Evidence, dynamics: Dynamics, tried: Sequence[tuple[str, Dynamics]]
+) -> tuple[Evidence, Spoken] | None:
+    """Evidence without the color of the noise, and the further mode that it speaks clearly for; None where for none.
+
+    The color was found with the expected dynamics. Where a force explains the readings better than such a noise, what
+    it has of a resonance that they lack is no noise. A balance that rings elsewhere or not at all is no question here:
+    it passes what is noise indeed.
+    """
+    plain = replace(evidence, white=None, color=None, rising=True, _known={})
+    modes = [one for one in tried if one[0] == "missing mode"]
+    own = plain.of(dynamics)
+    if not modes or own <= evidence.of(dynamics):
+        return None
+    best = max(plain.of(other) for _, other in modes) - own
+    found = None if best < SETTINGS.decisive else _clearest(plain, dynamics, modes, own=own, best=best)
+    return None if found is None or found.probability < 1 else (plain, found)
 
 
 def _beside(
