@@ -166,15 +166,15 @@ def test_a_gain_of_one_record_is_no_matter_of_another(rng):
     name = GROUND_CHANNELS[0]
     uncertain = replace(given.channel(name), relative_uncertainty=0.01, zero_uncertainty=0.1)
     other = shake_record(replace(given, channels={**given.channels, name: uncertain}))
-    (key,) = other.slopes  # the gain alone: a zero is no motion
+    (key,) = other.slopes.keys() - plain.slopes.keys()  # the gain alone: a zero is no motion
     assert key == ("accelerometer gain", name)
-    assert not plain.slopes
     found = first_guess([plain, other], sizes=HALF_RANGE)
-    moved = found.at(found.values + 0.5 * np.eye(found.values.size)[-1])
+    place = list(dict.fromkeys([*plain.slopes, *other.slopes])).index(key) - len(plain.slopes | other.slopes)
+    moved = found.at(found.values + 0.5 * np.eye(found.values.size)[place])
     squares = squares_left([plain], found)
     # half of its standard uncertainty is all that it costs, but for the rounding of the sum
     assert squares_left([plain], moved) - squares == pytest.approx(0.25, abs=1e-12 * squares)
-    products = information_rows([plain], found)[:, -2]
+    products = information_rows([plain], found)[:, place - 1]
     assert products @ products == pytest.approx(1.0)  # and what is known of it beforehand is all that tells it
     assert squares_left([other], moved) != pytest.approx(squares_left([other], found) + 0.25, abs=1e-3)
 

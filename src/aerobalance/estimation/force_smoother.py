@@ -14,6 +14,7 @@ from aerobalance.estimation.prior import (
     Observation,
     SpectralPrior,
     bridged,
+    ends_differ,
     evenly_weighted,
     generalised_least_squares,
     least_squares,
@@ -104,11 +105,19 @@ def fit_signal_model(reading: Observation, *, hum: Hum, resolution: float | None
     named = evenly_weighted(named, columns=columns_of([], named))
     search = StepSearch(named)
     steps, learned = search.run()
+    if steps and named.even:  # a step beside an end is no reason for it
+        heights = np.array([0.0, *(step.height for step in steps)])
+        left = named.filled - columns_of(steps, named)[:, : heights.size] @ heights
+        if not ends_differ(left, named.interval):
+            named = replace(named, even=False)
+            search = StepSearch(named)
+            steps, learned = search.run()
     if steps:
         if hum != "keep":
             heights = np.array([0.0, *(step.height for step in steps)])
             lines, large = _hum_of(reading, reading.values - columns_of(steps, reading) @ heights, hum)
         again, other = _looked_above(replace(reading, hum=tuple(line.frequency for line in lines)), steps)
+        again = replace(again, even=named.even)
         if _differ(named, again):
             named, floor, search = again, other, StepSearch(again)
             steps, learned = search.run()

@@ -41,6 +41,9 @@ differ by a fifth."""
 UNEVEN: Final = 4.0
 """Ratio of the two from which on both are tried."""
 
+UNEVEN_LEAK: Final = 0.03
+"""Power in a band over that in the next one, up to which it may have leaked from there."""
+
 UNEVEN_EVIDENCE: Final = 25.0
 """Gain in log-likelihood of the innovations for which the ends are weighed as the middle."""
 
@@ -244,6 +247,19 @@ def bridged(reading: Observation, learned: SpectralPrior, *, columns: Array) -> 
     return left if present.all() else np.where(present, left, filter_.smooth(left[:, None], [LOAD])[:, 0, 0])
 
 
+def ends_differ(values: Array, interval: float) -> bool:
+    """Whether readings without gaps, shape (n,) [N], have a band at their ends that a Hann window hides."""
+    left = values - values.mean()
+    by_hann, evenly = (density_of(left, interval, even=even) for even in (False, True))
+    bands = [0]
+    while (width := max(UNEVEN_BAND, bands[-1] // 10)) <= by_hann.size - bands[-1] - UNEVEN_BAND:
+        bands.append(bands[-1] + width)
+    hidden, shown = (np.add.reduceat(one, bands) for one in (by_hann, evenly))
+    beside = np.maximum(np.append(shown[1:], 0.0), np.append(0.0, shown[:-1]))
+    own = shown > UNEVEN_LEAK * beside  # beside a strong band the even window shows what leaks from it
+    return bool(np.any(own & (shown >= UNEVEN * hidden) & (shown > 0)))
+
+
 def evenly_weighted(reading: Observation, *, columns: Array) -> Observation:
     """The reading, its ends weighed as its middle where that makes it much likelier.
 
@@ -259,13 +275,7 @@ def evenly_weighted(reading: Observation, *, columns: Array) -> Observation:
     """
     if not reading.present.all() or reading.values.size < UNEVEN_FROM:
         return reading
-    left = reading.values - reading.values.mean()
-    by_hann, evenly = (density_of(left, reading.interval, even=even) for even in (False, True))
-    bands = [0]
-    while (width := max(UNEVEN_BAND, bands[-1] // 10)) <= by_hann.size - bands[-1] - UNEVEN_BAND:
-        bands.append(bands[-1] + width)
-    ratio = np.add.reduceat(evenly, bands) / np.maximum(np.add.reduceat(by_hann, bands), 1e-300)
-    if ratio.max() < UNEVEN:
+    if not ends_differ(reading.values, reading.interval):
         return reading
     even = replace(reading, even=True)
     found = []
