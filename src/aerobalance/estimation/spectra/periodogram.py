@@ -43,8 +43,8 @@ STRAIGHT: Final = 1e-3
 STEEPEST: Final = 1.1
 """Ratio of the response's squares within one average at most."""
 
-TAPERED: Final = 0.02
-"""Share of a record at either end that an even window tapers: beyond 50 ordinates it leaks as a Hann window does."""
+TAPERED: Final = 0.01
+"""Share of a record at either end that an even window tapers: beyond 100 ordinates it leaks as a Hann window does."""
 
 LOBES: Final = 256
 """Ordinates on either side of an edge up to which the window leaks at all."""
