@@ -26,7 +26,7 @@ from helpers.accuracy import RIG, WIDE, density
 
 RATE = 25_000.0
 PART = 245_760
-"""Samples of a part of one component."""
+"""Samples that the lengths are multiples of: the shortest is one part of a slower clock."""
 
 LENGTHS = (4 * PART, 12 * PART, 40 * PART)
 LIMIT = 0.05
@@ -34,13 +34,16 @@ LIMIT = 0.05
 
 
 def long_load(rng: np.random.Generator) -> Array:
-    """Readings under a load of 0-900 Hz whose spectrum is that of all parts alike [N]."""
-    frequency = np.fft.rfftfreq(PART, 1 / RATE)
-    scale = np.sqrt(density(WIDE["0-900 Hz"], frequency, rate=RATE, rms=100.0) * PART * RATE / 2)
+    """Readings under a load of 0-900 Hz that never repeats, of one spectrum all along [N].
+
+    One period repeated would have all parts look closer at a peak by chance, or none.
+    """
+    count = LENGTHS[-1]
+    frequency = np.fft.rfftfreq(count, 1 / RATE)
+    scale = np.sqrt(density(WIDE["0-900 Hz"], frequency, rate=RATE, rms=100.0) * count * RATE / 2)
     phasors = scale * (rng.normal(size=scale.size) + 1j * rng.normal(size=scale.size))
     phasors[0] = 0
-    one = np.fft.irfft(phasors * RIG.response(frequency), PART)  # comes back without a joint
-    return np.tile(one, LENGTHS[-1] // PART) + rng.normal(0, 0.5, LENGTHS[-1])
+    return np.fft.irfft(phasors * RIG.response(frequency), count) + rng.normal(0, 0.5, count)
 
 
 def spent(work: Callable[[], object]) -> float:
