@@ -256,6 +256,12 @@ def test_blocks_that_came_late_do_not_move_the_beginning(clocked, rng) -> None:
     assert begun.tick == (3000 if clocked else max(by_block, 40 * of_block))
 
 
+@pytest.mark.parametrize("clocked", [True, False])
+@pytest.mark.parametrize("at", [None, 5.0])
+def test_a_mark_before_the_first_block_is_at_the_first_sample(clocked, at) -> None:
+    assert Continuity(1000.0, clocked=clocked).tick_at(at) == 0
+
+
 def test_a_record_says_that_it_begins_after_it_was_asked_for() -> None:
     intake = Intake(RecordPlan(CHANNELS, 1000.0, 64), asked=0.15)
     made = intake.feed(Block(400, truth(np.arange(400, 440)), 0.44))

@@ -79,11 +79,12 @@ class Continuity:
 
     def tick_at(self, at: float | None) -> int:
         """Tick of the sample of a time on the steady clock [s], as far as there is one yet; of the next for None."""
-        expected = self.expected or 0
-        return expected if at is None else min(max(0, self.sampled_at(at)), expected)
+        if self.expected is None:
+            return 0
+        return self.expected if at is None else min(max(0, self.sampled_at(at)), self.expected)
 
     def sampled_at(self, at: float) -> int:
-        """Tick of the sample of a time on the steady clock [s], whether it has come or not.
+        """Tick of the sample of a time on the steady clock [s], whether it has come or not, once a block has.
 
         By the least delay of arrival of the last `DRIFT_WATCHED`: a computer that is busy takes blocks late, never
         early. Where samples come by no clock, by the last block alone.
