@@ -179,22 +179,48 @@ def spectral(kernels: ModuleType, numbers: tuple[np.ndarray, ...]) -> list[np.nd
     total = np.zeros(costs.shape[1])
     kernels.cheapest(costs, 0.7, total, moved, best, path)
     edges = [kernels.averages(levels, fewest, 0.05, 0.5) for fewest in (1, 4)]
-    count = len(points)
-    cost, gradient, information = np.zeros(count), np.zeros((count, 5)), np.zeros((count, 5, 5))
-    frequency, gain, (background, density, weight) = ordinates[:2], np.exp(ordinates[2:4]), np.exp(ordinates[4:])
-    kernels.score_roll_offs(points, frequency, gain, background, density, weight, cost, gradient, information)
-    return [total, moved, path, *edges, cost, gradient, information]
+    reading = kernels.AveragedReading(ordinates[:2], np.exp(ordinates[2:4]), *np.exp(ordinates[4:]))
+    lower, upper, free = np.full(5, -1.5), np.full(5, 1.5), np.ones(points.shape, bool)
+    free[0, 3] = False
+    lowered, cost = np.clip(points, lower, upper), np.zeros(len(points))
+    kernels.lower_roll_offs(lowered, cost, free, reading, kernels.Search(lower, upper, STEPS, 1e-4, 0.8, DAMPING))
+    return [total, moved, path, *edges, cost, lowered]
+
+
+STEPS, DAMPING = 6, 1e-3
+"""Of a search for a spectrum."""
 
 
 def test_compiled_and_plain_kernels_of_spectra_agree(rng, plain):
-    """Each of n = 40 ordinates adds some 100 roundings to sums that may cancel: of their largest value."""
-    numbers = rng.exponential(size=(30, 6)), np.cumsum(rng.normal(0, 0.2, 80)), rng.normal(size=(3, 5))
+    """Each of n = 40 ordinates adds some 100 roundings to sums that may cancel: of their largest value.
+
+    A step of a search is as many times less exact as its equations are badly conditioned, which their damping limits.
+    """
+    numbers = rng.exponential(size=(30, 6)), np.cumsum(rng.normal(0, 0.2, 80)), rng.normal(size=(8, 5))
     numbers += (rng.normal(size=(7, 40)),)
     lines = Lines(plain[2])
     interpreted = lines.of(lambda: spectral(plain[2], numbers))
     for one, other in zip(spectral(spectral_kernels, numbers), interpreted, strict=True):
-        np.testing.assert_allclose(one, other, rtol=0, atol=100 * 40 * ROUNDING * np.max(np.abs(one)))
+        roundings = 100 * 40 * STEPS * 5 / DAMPING
+        np.testing.assert_allclose(one, other, rtol=0, atol=roundings * ROUNDING * np.max(np.abs(one)))
     assert not lines.missed
+
+
+def test_a_damped_step_solves_its_equations(rng):
+    """The step s of (H + d diag(H)) s = -g, by a library: of all numbers, and of some where one has its step."""
+    root = rng.normal(size=(5, 5))
+    information, slope, damping = root @ root.T, rng.normal(size=5), 0.1
+    solve = spectral_kernels.solve_damped.py_func
+    for going in (np.ones(5, bool), np.arange(5) != 2):
+        step, stopped = np.empty(5), np.where(going, 0.0, 0.7)
+        solve(slope, np.tril(information), going, stopped, damping, np.empty((5, 5)), step)
+        damped = information + damping * np.diag(np.diag(information))
+        expected = stopped.copy()
+        left = slope + information @ stopped
+        expected[going] = -np.linalg.solve(damped[np.ix_(going, going)], left[going])
+        # 1e-9 is added to the diagonal, so that a number of no effect has a step of none
+        room = 1e-9 * np.linalg.norm(np.linalg.inv(damped), 2) * np.linalg.norm(expected)
+        np.testing.assert_allclose(step, expected, rtol=1e-10, atol=room)
 
 
 def test_the_cheapest_path_is_that_of_trying_all(rng):

@@ -13,13 +13,12 @@ References
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.estimation.spectra._kernels import score_roll_offs
+from aerobalance.estimation.spectra._kernels import AveragedReading, Search, lower_roll_offs
 from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum
 from aerobalance.recording.channel import Array
 
@@ -71,86 +70,52 @@ UNSEEN_LEVEL: Final = 1e3
 without end, to a force that no draw of a Monte Carlo can have."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Averages:
-    """What the likelihood needs of a periodogram.
+def _averages_of(periodogram: Periodogram, *, most: int) -> AveragedReading:
+    """The averages of a periodogram, or so many that hold them."""
+    weight = periodogram.weight
+    rows = np.stack(
+        [
+            periodogram.frequency,
+            periodogram.folded_frequency,
+            periodogram.gain,
+            periodogram.folded_gain,
+            periodogram.background(0.0),
+            periodogram.density,
+        ]
+    )
+    if weight.size > most:
+        first = np.concatenate([np.arange(most // 2), np.linspace(most // 2, weight.size, most // 2 + 1)[:-1]])
+        first = first.astype(np.int64)
+        rows = np.add.reduceat(rows * weight, first, axis=1)
+        weight = np.add.reduceat(weight, first)
+        rows = rows / weight
+    return AveragedReading(np.log(rows[:2]), rows[2:4], rows[4], rows[5], weight)
 
-    Attributes
-    ----------
-    frequency
-        Logarithms of the frequencies [Hz], and of those that are folded onto them, shape (2, m).
-    gain
-        Squares of the response at these [1].
-    background, density
-        Density of what is no force but for the white noise, and of the reading, shape (m,) [N^2/Hz].
-    weight
-        Number of independent ordinates [1].
-    """
 
-    frequency: Array
-    gain: Array
-    background: Array
-    density: Array
-    weight: Array
+def _costs(reading: AveragedReading, points: Array) -> Array:
+    """Less the logarithm of Whittle's likelihood of points (b, 5), shape (b,)."""
+    level, half, exponent, power = (points[:, place, None, None] for place in range(4))
+    bend = np.exp(exponent) * (reading.frequency - half) + np.log(np.expm1(np.log(2.0) / np.exp(power)))
+    felt = reading.gain * np.exp(np.maximum(level - np.exp(power) * np.logaddexp(0.0, bend), -600.0))
+    model = felt.sum(axis=1) + reading.background + np.exp(points[:, NOISE, None])
+    return np.asarray((np.log(model) + reading.density / model) @ reading.weight)
 
-    @classmethod
-    def of(cls, periodogram: Periodogram, *, most: int) -> _Averages:
-        """Take the averages of a periodogram, or so many that hold them."""
-        weight = periodogram.weight
-        rows = np.stack(
-            [
-                periodogram.frequency,
-                periodogram.folded_frequency,
-                periodogram.gain,
-                periodogram.folded_gain,
-                periodogram.background(0.0),
-                periodogram.density,
-            ]
-        )
-        if weight.size > most:
-            first = np.concatenate([np.arange(most // 2), np.linspace(most // 2, weight.size, most // 2 + 1)[:-1]])
-            first = first.astype(np.int64)
-            rows = np.add.reduceat(rows * weight, first, axis=1)
-            weight = np.add.reduceat(weight, first)
-            rows = rows / weight
-        return cls(np.log(rows[:2]), rows[2:4], rows[4], rows[5], weight)
 
-    def felt(self, points: Array) -> Array:
-        """Densities of the balance load at points (b, 5), shape (b, 2, m) [N^2/Hz]."""
-        level, half, exponent, power = (points[:, place, None, None] for place in range(4))
-        bend = np.exp(exponent) * (self.frequency - half) + np.log(np.expm1(np.log(2.0) / np.exp(power)))
-        fall = np.logaddexp(0.0, bend)
-        return np.asarray(self.gain * np.exp(np.maximum(level - np.exp(power) * fall, -600.0)))
-
-    def cost(self, points: Array) -> Array:
-        """Less the logarithm of Whittle's likelihood of points (b, 5), shape (b,)."""
-        model = self.felt(points).sum(axis=1) + self.background + np.exp(points[:, NOISE, None])
-        return np.asarray((np.log(model) + self.density / model) @ self.weight)
-
-    def slopes(self, points: Array) -> tuple[Array, Array, Array]:
-        """The same with its slopes, shape (b, 5), and the information that is expected, shape (b, 5, 5)."""
-        count = points.shape[0]
-        cost, gradient, lower = np.zeros(count), np.zeros((count, 5)), np.zeros((count, 5, 5))
-        score_roll_offs(
-            points, self.frequency, self.gain, self.background, self.density, self.weight, cost, gradient, lower
-        )
-        return cost, gradient, lower + np.tril(lower, -1).transpose(0, 2, 1)
-
-    def beginnings(self, noise: float) -> Array:
-        """Points to begin from with a noise: for each pair of m and q the best of some corners, (pairs, 5)."""
-        raw = np.maximum(self.density - self.background - noise, 0.0) / self.gain[0]
-        below = np.cumsum(raw * self.weight) / np.cumsum(self.weight)
-        frequency = np.exp(self.frequency[0])
-        halves = np.geomspace(frequency[0], frequency[-1], CORNERS)
-        last = np.searchsorted(frequency, np.maximum(halves, frequency[min(3, frequency.size - 1)]), side="right") - 1
-        pairs = np.array([pair for pairs in BEGINNINGS for pair in pairs])
-        points = np.empty((pairs.shape[0], CORNERS, 5))
-        points[:, :, LEVEL] = np.log(np.maximum(below[last], 1e-200))
-        points[:, :, HALF] = np.log(halves)
-        points[:, :, [EXPONENT, POWER]] = np.log(pairs)[:, None]
-        points[:, :, NOISE] = np.log(noise)
-        cost = self.cost(points.reshape(-1, 5)).reshape(points.shape[:2])
-        return np.asarray(points[np.arange(pairs.shape[0]), np.argmin(cost, axis=1)])
+def _beginnings(reading: AveragedReading, noise: float) -> Array:
+    """Points to begin from with a noise: for each pair of m and q the best of some corners, (pairs, 5)."""
+    raw = np.maximum(reading.density - reading.background - noise, 0.0) / reading.gain[0]
+    below = np.cumsum(raw * reading.weight) / np.cumsum(reading.weight)
+    frequency = np.exp(reading.frequency[0])
+    halves = np.geomspace(frequency[0], frequency[-1], CORNERS)
+    last = np.searchsorted(frequency, np.maximum(halves, frequency[min(3, frequency.size - 1)]), side="right") - 1
+    pairs = np.array([pair for pairs in BEGINNINGS for pair in pairs])
+    points = np.empty((pairs.shape[0], CORNERS, 5))
+    points[:, :, LEVEL] = np.log(np.maximum(below[last], 1e-200))
+    points[:, :, HALF] = np.log(halves)
+    points[:, :, [EXPONENT, POWER]] = np.log(pairs)[:, None]
+    points[:, :, NOISE] = np.log(noise)
+    cost = _costs(reading, points.reshape(-1, 5)).reshape(points.shape[:2])
+    return np.asarray(points[np.arange(pairs.shape[0]), np.argmin(cost, axis=1)])
 
 
 def fit_roll_offs(
@@ -167,9 +132,9 @@ def fit_roll_offs(
     floor
         Least density of the noise [N^2/Hz]; None when it is known, and the one to begin with is kept.
     """
-    whole, coarse = (_Averages.of(periodogram, most=most) for most in (periodogram.weight.size, COARSE))
+    whole, coarse = (_averages_of(periodogram, most=most) for most in (periodogram.weight.size, COARSE))
     limits = _limits(periodogram, floor)
-    points = np.concatenate([coarse.beginnings(noise) for noise in noises])
+    points = np.concatenate([_beginnings(coarse, noise) for noise in noises])
     kinds = np.tile(np.repeat([BUTTERWORTH, MATERN], [len(pairs) for pairs in BEGINNINGS]), len(noises))
     free = _free(np.array([BUTTERWORTH, MATERN]), floor)
     points, cost = _lowered(points, coarse, free[kinds], limits, most=FEW_STEPS, enough=FIRST_ENOUGH)
@@ -197,7 +162,7 @@ def refit_roll_off(
     point = np.log([[float(start.levels[0]), half, exponent, power, noise]])
     limits = _limits(periodogram, floor)
     free = _free(np.array([BUTTERWORTH if power == 1 else MATERN]), floor)
-    whole = _Averages.of(periodogram, most=periodogram.weight.size)
+    whole = _averages_of(periodogram, most=periodogram.weight.size)
     points, _ = _lowered(np.clip(point, *limits), whole, free, limits, most=STEPS, enough=FIRST_ENOUGH)
     return _spectrum_of(points[0])
 
@@ -231,55 +196,11 @@ def _spectrum_of(point: Array) -> tuple[Spectrum, float]:
 
 
 def _lowered(
-    points: Array, averages: _Averages, free: NDArray[np.bool_], limits: Array, *, most: int, enough: float
+    points: Array, reading: AveragedReading, free: NDArray[np.bool_], limits: Array, *, most: int, enough: float
 ) -> tuple[Array, Array]:
     """Points (b, 5) of least cost from others, each by itself, and those costs (b,), in so many steps at most."""
-    lower, upper = limits
-    found, points = np.empty(points.shape[0]), np.array(points)
-    going, here = np.arange(points.shape[0]), points
-    cost, gradient, information = averages.slopes(points)
-    damping = np.full(going.size, DAMPING)
-    found[:] = cost
-    for _ in range(most):
-        outward = ((here <= lower) & (gradient > 0)) | ((here >= upper) & (gradient < 0))
-        moved = free[going] & ~outward
-        slope = np.where(moved, gradient, 0.0)
-        bend = information * (moved[:, :, None] & moved[:, None, :])
-        reach = np.maximum(lower - here, -LONGEST_STEP), np.minimum(upper - here, LONGEST_STEP)
-        step = _step(slope, bend, damping, reach)
-        promise = -np.sum(slope * step, axis=1) - 0.5 * np.einsum("bi,bij,bj->b", step, bend, step)
-        on = promise > enough
-        if not on.all():  # what has come to its end is looked at no more
-            going, here, step, damping = going[on], here[on], step[on], damping[on]
-            cost, gradient, information = cost[on], gradient[on], information[on]
-            if not going.size:
-                break
-        trial = np.where(free[going], np.minimum(np.maximum(here + step, lower), upper), here)
-        after = averages.slopes(trial)
-        better = after[0] < cost
-        here = np.where(better[:, None], trial, here)
-        cost = np.where(better, after[0], cost)
-        gradient = np.where(better[:, None], after[1], gradient)
-        information = np.where(better[:, None, None], after[2], information)
-        damping = np.where(better, damping / 10, damping * 10)
-        points[going], found[going] = here, cost
+    points, found = np.array(points), np.empty(points.shape[0])
+    lower, upper = np.ascontiguousarray(limits)
+    search = Search(lower, upper, most, enough, LONGEST_STEP, DAMPING)
+    lower_roll_offs(points, found, free, reading, search)
     return points, found
-
-
-def _step(slope: Array, bend: Array, damping: Array, limits: tuple[Array, Array]) -> Array:
-    """Steps (b, 5) of damped scoring: what would go too far stops there, and the others go on from that."""
-    step = _solved(slope, bend, damping)
-    stops = (step < limits[0]) | (step > limits[1])
-    if stops.any():
-        there = np.where(stops, np.clip(step, *limits), 0.0)
-        left = np.where(stops, 0.0, slope + np.einsum("bij,bj->bi", bend, there))
-        step = there + _solved(left, np.where(stops[:, :, None] | stops[:, None, :], 0.0, bend), damping)
-    return np.asarray(np.minimum(np.maximum(step, limits[0]), limits[1]))
-
-
-def _solved(slope: Array, bend: Array, damping: Array) -> Array:
-    """Steps (b, 5) for slopes and information, this with so much more of its diagonal; zero where there is none."""
-    size = np.diagonal(bend, axis1=1, axis2=2)
-    more = size * damping[:, None] + np.where(size > 0, 1e-9, 1.0)
-    damped = bend + np.eye(size.shape[1]) * more[:, :, None]
-    return np.asarray(-np.linalg.solve(damped, slope[:, :, None])[:, :, 0])
