@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import warnings
 from dataclasses import replace
 from pathlib import Path
@@ -175,6 +176,15 @@ def test_steps_are_found_between_the_samples_of_the_record(rng) -> None:
             near = slice(place - 40, place + 40)
             off = np.abs((found.values - truth)[near]) > 5 * found.uncertainty[near]
             assert not off.any()
+
+
+def test_the_worst_part_is_told_by_the_time_of_the_record(rng) -> None:
+    _, load = force_and_load(rng, steps=())
+    part, told = work(recording(load)).force().worst()
+    first, last = (float(one) for one in re.findall(r"([\d.]+) s", told))
+    stamps, half = part.recording.stamps, 0.5 / part.recording.rate  # the time is told in four digits
+    assert stamps[0] - 1e-3 - half <= first < last <= stamps[-1] + 1e-3 + 2 * half
+    assert last - first > 0.5 * (stamps[-1] - stamps[0])  # neighbours have less than a quarter at either end
 
 
 def test_budget_and_spectrum_are_those_of_the_own_clock(rng) -> None:

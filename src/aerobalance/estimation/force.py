@@ -210,7 +210,7 @@ class ForceWork:
         def force_of_worst() -> tuple[Force, str]:
             if worst.part is None:
                 raise AssertionError
-            return self.force_of(worst.part), worst.told(self.record)
+            return self.force_of(worst.part), worst.told(working)
 
         found = ForceCollector(self.record.samples, working.samples, working.every).collected(watched())
         # the whole record is worked out where it is asked for: as much work as the forces of some of its parts

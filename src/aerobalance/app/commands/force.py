@@ -229,7 +229,7 @@ def _checked(work: ForceWork, found: _KeptForces, check: Check | None) -> dict[s
         return {}
     checked = monte_carlo(work.force_of(part), draws=check.draws, seed=check.seed)
     if part.count > 1:
-        warn_quality(found.worst.told(work.record))
+        warn_quality(found.worst.told(work.working))
     for name, trial in checked.items():
         for text in trial.doubts:
             warn_quality(f"{work.record.name}: {name}: {text}")
