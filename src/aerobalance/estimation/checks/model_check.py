@@ -101,7 +101,7 @@ def checked(force: Force) -> Force:
                 found = [one for one in found if one.doubt.kind != "damping ratio"]  # it damps what rings as well
             parts[name] = _raised(parts[name], found, own, interval=interval)
             if shown.possible is not None:
-                parts[name] = _left_open(parts[name], shown.possible, own, interval=interval)
+                parts[name] = _left_open(parts[name], shown.possible, own, interval=interval, within=shown.within)
             # damping that is not linear may look like noise of a color; a shock goes with the motion as all of it does
             colored = "colored noise" in kinds and bent is not None and not bent.of_spring and bent.probability < 1
             rubs = bent is not None and not bent.of_spring and bent.probability == 1 and bool(force[name].steps)
@@ -116,7 +116,7 @@ def _raised(force: ComponentForce, found: list[ModelDoubt], own: ModalModel, *, 
         if one.other is None:
             force = with_doubt(force, one.doubt)
             continue
-        error = error_under(force.values, own=own, other=one.other, interval=interval)
+        error = _within(error_under(force.values, own=own, other=one.other, interval=interval), one.within)
         doubt = replace(one.doubt, effect=float(np.sqrt(np.mean(error**2))))
         period = 1 / own.natural_frequency
         noise = as_noise(error, name=f"{DOUBTED}{doubt.kind}", period=period, interval=interval)
@@ -124,9 +124,20 @@ def _raised(force: ComponentForce, found: list[ModelDoubt], own: ModalModel, *, 
     return force
 
 
-def _left_open(force: ComponentForce, possible: Spoken, own: ModalModel, *, interval: float) -> ComponentForce:
+def _within(error: Array, where: slice | None) -> Array:
+    """An error, zero but for some samples; None for all."""
+    if where is None:
+        return error
+    inside = np.zeros_like(error)
+    inside[where] = error[where]
+    return inside
+
+
+def _left_open(
+    force: ComponentForce, possible: Spoken, own: ModalModel, *, interval: float, within: slice | None
+) -> ComponentForce:
     """A force whose uncertainty counts other dynamics by their probability."""
-    error = error_under(force.values, own=own, other=possible.dynamics, interval=interval)
+    error = _within(error_under(force.values, own=own, other=possible.dynamics, interval=interval), within)
     weighted = np.sqrt(possible.probability) * error
     noise = as_noise(weighted, name=LEFT_OPEN, period=1 / own.natural_frequency, interval=interval)
     return with_errors(force, noise)

@@ -15,6 +15,7 @@ import numpy as np
 
 from aerobalance.dynamics.modal import ModalModel, Mode
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.checks.changing_resonance import changes_along
 from aerobalance.estimation.checks.evidence import Evidence
 from aerobalance.estimation.checks.local_modes import Averaged, missing_mode, own_resonance
 from aerobalance.estimation.checks.peaks import Peak
@@ -107,6 +108,10 @@ class OtherDynamics:
         True where the balance does not ring at its natural frequency at all.
     possible
         Dynamics that the record leaves open, and how probable they are; None where it leaves none.
+    within
+        Samples of the record that show another frequency or damping ratio, and others do not; None where all do.
+    during
+        The same in words, with a comma before it.
     """
 
     component: str
@@ -118,6 +123,8 @@ class OtherDynamics:
     damping: tuple[float, float] | None = None
     silent: bool = False
     possible: Spoken | None = None
+    within: slice | None = None
+    during: str = ""
 
     @property
     def changed(self) -> bool:
@@ -133,13 +140,15 @@ class OtherDynamics:
             cause = f"it swings{size}; a narrow band of the load itself looks the same"
             text = (
                 f"{self.component} shows a mode at {frequency_text(mode.natural_frequency, self.u_frequency)}, "
-                f"{share_text(mode.share, self.u_share)}, that the dynamics lack: {cause}; forces near that "
-                "frequency are wrong until it is identified"
+                f"{share_text(mode.share, self.u_share)}, that the dynamics lack{self.during}: {cause}; forces near "
+                "that frequency are wrong until it is identified"
             )
             advice = f"identify it from a release (identify decay {argument('modes', 'auto')})"
             told = self.u_share < SETTINGS.told * abs(mode.share)
             other = dynamics.with_modes(*dynamics.further_modes, mode) if told else None
-            found.append(ModelDoubt(Doubt("missing mode", self.component, text, advice, unit=unit), other))
+            found.append(
+                ModelDoubt(Doubt("missing mode", self.component, text, advice, unit=unit), other, self.within)
+            )
         if self.silent:
             text = (
                 f"{self.component} does not ring at {dynamics.natural_frequency:.5g} Hz, the natural frequency of the "
@@ -159,17 +168,18 @@ class OtherDynamics:
             least = "less than " if 1 + self.damping[0] < SETTINGS.least_damping else ""
             changed.append(f"damping ratio, {least}{now:.3g} and not {own:.3g}")
         if changed:
+            since = "on the way" if self.within else "since they were identified"
             text = (
-                f"{self.component} rings with another {' and another '.join(changed)}: stiffness, mass or damping "
-                "have changed since they were identified, or the flow adds its own; forces near that frequency are "
-                "wrong by as much"
+                f"{self.component} rings with another {' and another '.join(changed)}{self.during}: stiffness, mass "
+                f"or damping have changed {since}, or the flow adds its own; forces near that frequency are wrong by "
+                "as much"
             )
             advice = "identify the dynamics again"
             other = dynamics.retuned(
                 frequency=1 + (self.frequency or (0.0,))[0],
                 damping=max(1 + (self.damping or (0.0,))[0], SETTINGS.least_damping),
             )
-            found.append(ModelDoubt(Doubt(kind, self.component, text, advice, unit=unit), other))
+            found.append(ModelDoubt(Doubt(kind, self.component, text, advice, unit=unit), other, self.within))
         return found
 
 
@@ -183,10 +193,13 @@ class ModelDoubt:
         The doubt, its effect not known.
     other
         The dynamics that the record speaks for; None where it does not tell them.
+    within
+        Samples of the record that it is of; None for all.
     """
 
     doubt: Doubt
     other: ModalModel | None
+    within: slice | None = None
 
 
 def other_dynamics_in(
@@ -230,6 +243,10 @@ def other_dynamics_in(
         steps=within,
         beside_steps=beside_steps,
     )
+    if spoken is None or spoken.kind != "no resonance":
+        changed = _changed_along(record, noise=noise, steps=steps, hum=hum, learned=learned, whole=spoken)
+        if changed is not None:
+            return changed
     if spoken is not None and spoken.probability == 1:
         return _spoken(spoken, dynamics)
     left = beside_steps(dynamics, within)
@@ -260,6 +277,44 @@ def other_dynamics_in(
             spoken = left_open(Spoken("natural frequency", moved, gain / 2), gain / 2)
     possible = None if spoken is None or found.changed else spoken
     return replace(found, possible=possible)
+
+
+def _changed_along(
+    record: SingleRecord,
+    *,
+    noise: float,
+    steps: Sequence[Step],
+    hum: Sequence[Line],
+    learned: SpectralPrior | None,
+    whole: Spoken | None,
+) -> OtherDynamics | None:
+    """Dynamics that a part of a record speaks for more clearly than the whole does; None where there is none.
+
+    `whole` is what the whole speaks for; the other arguments are as of `other_dynamics_in`.
+    """
+    seen = unbroken(record, steps, hum, longest=record.load.size)
+    if seen is None:
+        return None
+    reading, inside = seen
+    found = changes_along(
+        _without_tones(reading.values),
+        record.dynamics,
+        interval=reading.interval,
+        least_noise=max(reading.least_noise, SETTINGS.least_noise * noise),
+        learned=learned,
+        color_found=record.noise is None,
+        steps=inside,
+    )
+    if found is None or (whole is not None and found.spoken.gain < whole.gain):
+        return None
+    first = longest_stretch(record).start
+    # it may have changed anywhere in the stretches beside these
+    within = slice(max(first + found.first - found.each, 0), first + found.last + found.each)
+    if found.spoken.probability < 1:
+        return OtherDynamics(record.dynamics.component, possible=found.spoken, within=within)
+    begin, end = (record.recording.start + (first + place) * reading.interval for place in (found.first, found.last))
+    during = f", from about {begin:.4g} s to {end:.4g} s"
+    return replace(_spoken(found.spoken, record.dynamics), within=within, during=during)
 
 
 def _spoken(spoken: Spoken, dynamics: Dynamics) -> OtherDynamics:
@@ -324,27 +379,33 @@ def peaks_of(record: ComponentRecord, *, noise: float, steps: Sequence[Step], hu
 
 
 def unbroken(
-    record: ComponentRecord, steps: Sequence[Step], hum: Sequence[Line]
+    record: ComponentRecord, steps: Sequence[Step], hum: Sequence[Line], *, longest: int = SETTINGS.longest
 ) -> tuple[Observation, list[Step]] | None:
     """The longest stretch of a reading without a gap, hum taken out, and the steps within.
 
-    None where it has fewer than `FEWEST_SAMPLES` or does not change.
+    None where it has fewer than `FEWEST_SAMPLES` or does not change; of one that is too long the begin.
     """
     reading = record.reading()
     lines = reading_of_lines(tuple(hum), count=reading.values.size, interval=reading.interval) if hum else 0.0
-    told = reading.present & ~record.hides_motion  # what is hidden and not found swings as well
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], told, [False])).astype(np.int8)))
-    stretches = edges.reshape(-1, 2)
-    if not len(stretches):
-        return None
-    first, last = (int(edge) for edge in stretches[np.argmax(stretches[:, 1] - stretches[:, 0])])
-    last = min(last, first + SETTINGS.longest)
+    whole = longest_stretch(record)
+    first, last = whole.start, min(whole.stop, whole.start + longest)
     values = (reading.values - lines)[first:last]
     if values.size < FEWEST_SAMPLES or float(np.ptp(values)) == 0:
         return None
     begin, end = first * reading.interval, last * reading.interval
     within = [replace(step, instant=step.instant - begin) for step in steps if begin <= step.instant < end]
     return replace(reading, values=values), within
+
+
+def longest_stretch(record: ComponentRecord) -> slice:
+    """The longest stretch of a reading without a gap; none of its samples where it has no readings."""
+    told = record.reading().present & ~record.hides_motion  # what is hidden and not found swings as well
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], told, [False])).astype(np.int8)))
+    stretches = edges.reshape(-1, 2)
+    if not len(stretches):
+        return slice(0, 0)
+    first, last = stretches[np.argmax(stretches[:, 1] - stretches[:, 0])]
+    return slice(int(first), int(last))
 
 
 def without_steps(reading: Observation, steps: Sequence[Step]) -> Array:

@@ -1,0 +1,200 @@
+"""Whether the resonance of a balance changes along a record: what its stretches say, each by itself.
+
+Where a balance changes on the way, as when a screw comes loose or it warms up, its old dynamics explain one part of
+the record and its new ones the other, and the record as a whole speaks for neither. A stretch of many periods speaks
+for those that it has.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from itertools import pairwise
+from typing import Final, NamedTuple
+
+import numpy as np
+from scipy.special import fdtrc
+
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.checks.near_resonance import near_resonance
+from aerobalance.estimation.checks.resonance import Spoken, spoken_for
+from aerobalance.estimation.prior import SpectralPrior
+from aerobalance.estimation.steps import Step
+from aerobalance.recording.channel import Array
+from aerobalance.recording.fourier import hann
+
+
+@dataclass(frozen=True, slots=True)
+class ChangingSettings:
+    """Which stretches are looked at.
+
+    Attributes
+    ----------
+    most
+        Stretches at most, an even number.
+    periods, samples
+        Periods of the balance and samples that a stretch has at least: of fewer its spectrum tells too little.
+    same
+        Differences of the natural frequency, over the damping ratio, and of the logarithm of the damping ratio up to
+        which two stretches show the same resonance.
+    band, ordinates
+        Width of a band of the spectrum over its frequency, and ordinates that it has at least.
+    about
+        Bands on either side of one whose median is the level about it.
+    chance
+        Probability that a band of one stretch is by chance as far above the same of all others, its surroundings
+        apart, from which on the stretches are looked at one by one; there are some thousand bands.
+    decayed, least_damping
+        Decay times of a free oscillation after which nothing is left of it, and damping ratio that it has at least.
+    left
+        Part of a stretch that must be left between its steps.
+    """
+
+    most: int = 4
+    periods: float = 300.0
+    samples: int = 4096
+    same: tuple[float, float] = (0.6, 1.0)
+    band: float = 0.01
+    ordinates: int = 8
+    about: int = 12
+    chance: float = 1e-7
+    decayed: float = 5.0
+    least_damping: float = 1e-3
+    left: float = 0.5
+
+
+SETTINGS: Final = ChangingSettings()
+"""Settings that are used."""
+
+
+class Changed(NamedTuple):
+    """The dynamics that a part of a record speaks for, and where.
+
+    Attributes
+    ----------
+    spoken
+        The dynamics.
+    first, last
+        First sample of the stretches that speak for them, and the one after the last.
+    each
+        Samples of a stretch.
+    """
+
+    spoken: Spoken
+    first: int
+    last: int
+    each: int
+
+
+def changes_along(
+    values: Array,
+    dynamics: Dynamics,
+    *,
+    interval: float,
+    least_noise: float,
+    learned: SpectralPrior | None = None,
+    color_found: bool = True,
+    steps: Sequence[Step] = (),
+) -> Changed | None:
+    """Return the other dynamics that some of a record speaks for most clearly, and where; None where nothing does.
+
+    Parameters
+    ----------
+    values
+        Readings without gaps, hum and other tones, shape (n,) [N].
+    dynamics, interval, least_noise, learned, color_found
+        As of `spoken_for`.
+    steps
+        Steps that were found in the readings: of a stretch what lies longest between two is looked at, once the
+        ringing of the first has decayed.
+    """
+    duration = values.size * interval
+    count = min(
+        SETTINGS.most, int(duration * dynamics.natural_frequency / SETTINGS.periods), values.size // SETTINGS.samples
+    )
+    count -= count % 2
+    if count < 2:
+        return None
+    edges = np.linspace(0, values.size, count + 1).astype(int)
+    calm = partial(_between, steps=steps, interval=interval, decay=SETTINGS.decayed / _decay_rate(dynamics))
+    parts = [part - part.mean() for part in (values[calm(*ends)] for ends in pairwise(edges.tolist())) if part.size]
+    least = int(np.diff(edges).min() * SETTINGS.left)
+    parts = [part for part in parts if part.size >= least]
+    resonances = [near_resonance(part, interval, dynamics) for part in parts]
+    if not _differ(parts) and _agree([one for one in resonances if one is not None], dynamics):
+        return None
+    found: list[Changed] = []
+    # what is faint in each stretch may be clear in two
+    for ends in sorted({*pairwise(edges.tolist()), *pairwise(edges[:: count // 2].tolist())}):
+        part = values[calm(*ends)]
+        if part.size < least:
+            continue
+        spoken = spoken_for(
+            part,
+            dynamics,
+            interval=interval,
+            least_noise=least_noise,
+            learned=learned,
+            color_found=color_found,
+        )
+        if spoken is not None and spoken.kind != "no resonance":
+            found.append(Changed(spoken, *ends, int(edges[1])))
+    clear = [one for one in found if one.spoken.probability == 1]
+    if not found:
+        return None
+    clearest = max(clear or found, key=lambda one: one.spoken.gain)
+    same = [one for one in clear or [clearest] if one.spoken.kind == clearest.spoken.kind]
+    return clearest._replace(first=min(one.first for one in same), last=max(one.last for one in same))
+
+
+def _decay_rate(dynamics: Dynamics) -> float:
+    """Rate at which free oscillations decay [1/s]."""
+    return 2 * np.pi * dynamics.natural_frequency * max(dynamics.damping_ratio, SETTINGS.least_damping)
+
+
+def _between(first: int, last: int, *, steps: Sequence[Step], interval: float, decay: float) -> slice:
+    """The longest stretch without a step, from a sample to another, that begins where the one before has decayed."""
+    inside = sorted((step.instant, step.instant + step.duration + decay) for step in steps)
+    begins = [first, *(max(int(end / interval), first) for _, end in inside if end > first * interval)]
+    free = [
+        (begin, min([last, *(int(at / interval) for at, _ in inside if at / interval >= begin)]))
+        for begin in begins
+        if not any(at / interval < begin < end / interval - 1 for at, end in inside)
+    ]
+    begin, end = max(free, key=lambda pair: pair[1] - pair[0], default=(first, first))
+    return slice(begin, max(begin, end))
+
+
+def _differ(parts: Sequence[Array]) -> bool:
+    """Whether a narrow band of the spectrum of one stretch stands out of the same of the others."""
+    if len(parts) < 2:
+        return False
+    count = min(part.size for part in parts)
+    power = np.array([np.abs(np.fft.rfft(part[:count] * hann(count))) ** 2 for part in parts])
+    edges = [SETTINGS.ordinates]
+    while edges[-1] < power.shape[1]:
+        edges.append(edges[-1] + max(SETTINGS.ordinates, int(SETTINGS.band * edges[-1])))
+    if len(edges) < 2 * SETTINGS.about:
+        return False
+    level = np.add.reduceat(power, edges[:-1], axis=1) / np.diff(edges)
+    others = (level.sum(axis=0) - level) / (len(parts) - 1)
+    apart = np.log(np.maximum(level, 1e-300) / np.maximum(others, 1e-300))
+    windows = np.lib.stride_tricks.sliding_window_view(
+        np.pad(apart, ((0, 0), (SETTINGS.about, SETTINGS.about)), mode="edge"), 2 * SETTINGS.about + 1, axis=1
+    )
+    apart -= np.median(windows, axis=2)
+    # a ratio of two sums of exponentials has Fisher's distribution; of the Hann window's ordinates two of three count
+    freedom = 2 * np.diff(edges) * 2 / 3
+    chance = fdtrc(freedom, (len(parts) - 1) * freedom, np.exp(apart))
+    return bool((chance[:, :-1] < SETTINGS.chance).any())
+
+
+def _agree(resonances: Sequence[Dynamics], dynamics: Dynamics) -> bool:
+    """Whether the resonances of the stretches are one, as finely as the search for each tells."""
+    if len(resonances) < 2:
+        return True
+    frequencies = [one.natural_frequency / dynamics.natural_frequency for one in resonances]
+    ratios = np.log([one.damping_ratio for one in resonances])
+    moved, damped = float(np.ptp(frequencies)) / dynamics.damping_ratio, float(np.ptp(ratios))
+    return moved < SETTINGS.same[0] and damped < SETTINGS.same[1]
