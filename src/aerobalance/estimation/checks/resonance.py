@@ -335,12 +335,17 @@ def _gain_beside(
     other: Dynamics,
     beside_steps: Callable[[Dynamics, Sequence[Step]], Array],
 ) -> float:
-    """Gain of other dynamics beside a free oscillation of either with which the record begins.
+    """Gain of other dynamics, each with a free oscillation from the begin of the record where that makes it likelier.
 
     That tells of a resonance by its course alone: decaying, it has no spectrum of a steady one, and under the window
-    it looks hardly damped.
+    it looks hardly damped. Of a resonance that a load keeps up, it is least squares' alone: its sizes are not those
+    that make the readings likeliest, and may make them less likely than none. Then it speaks for neither.
     """
-    own, others = (_evidence_beside(evidence, beside_steps(one, ()), one, ()) for one in (dynamics, other))
+    price = float(np.log(evidence.values.size / 2))  # Schwarz's price of its two sizes
+    own, others = (
+        max(evidence.of(one), _evidence_beside(evidence, beside_steps(one, ()), one, ()) - price)
+        for one in (dynamics, other)
+    )
     return others - own
 
 
