@@ -79,6 +79,10 @@ HIGHEST: Final = 0.2
 BELOW_HARMONICS: Final = 1.6
 """Frequency over the natural one up to which a motion is no harmonic of the resonance."""
 
+LAG_TOLD: Final = 3.0
+"""Gain of the best match over that at no lag, from which on it is another lag: of a term that acts at once twice the
+gain is chi-square with one degree of freedom, and is more in 1.4 % of records."""
+
 FEWEST: Final = 200
 """Ordinates above the band that are needed at least."""
 
@@ -245,11 +249,13 @@ def _best_of(
         shown = (response - 1 if of_spring else response) * np.fft.rfft(window * (shape - shape.mean()))
         match = np.fft.irfft(weight * shown.conj() * seen, count) * count / 2
         information = float(np.sum(weight * np.abs(shown) ** 2))
-        gain = min(match[0] ** 2 / (information * alike), match[0] ** 2 / (2 * float(np.mean(match**2))))
+        told = min(1 / (information * alike), 1 / (2 * float(np.mean(match**2))))
+        gain = match[0] ** 2 * told
         lag = int(np.argmax(np.abs(match)))
+        later = match[lag] ** 2 * told - gain > LAG_TOLD
         away = RIGHT_AWAY_OF_SPRING if of_spring else RIGHT_AWAY
         needed = GAIN_OF_SPRING if of_spring else GAIN
-        if min(lag, count - lag) > max(away * period, 1.0) or not (of_spring or match[0] < 0):
+        if (later and min(lag, count - lag) > max(away * period, 1.0)) or not (of_spring or match[0] < 0):
             continue
         if gain > needed - OPEN and (best is None or gain > best[0]):
             size = -match[0] / information
