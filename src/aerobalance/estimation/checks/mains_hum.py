@@ -11,12 +11,14 @@ from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.error_sources import Noise
 from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.spectra.line_noise import LINE_EVIDENCE, MAINS, MOST_HARMONICS, Line
-from aerobalance.recording.channel import Array
 from aerobalance.recording.doubts import Assumption, Doubt
 from aerobalance.recording.errors import argument
 
 NARROW: Final = 0.05
 """Width of a band over its frequency up to which it may be hum that drifts."""
+
+LOBES: Final = 4.0
+"""Ordinates over which a Hann window spreads a line: at a named frequency a band may be wider by so much."""
 
 NEAR: Final = 0.01
 """Relative distance from a multiple of the mains' frequency up to which it may be."""
@@ -68,9 +70,13 @@ def hum_doubts(
         )
     if not large:
         places = np.array(named) if named else np.outer(MAINS, np.arange(1, MOST_HARMONICS + 1)).ravel()
+        resolved = LOBES / (count * interval) if named else 0.0
         found += [
             (f"a narrow band at {middle:.4g} Hz", middle, rms)
-            for middle, rms in _narrow_bands(learned, interval, places)
+            for low, high, rms in _narrow_bands(learned, interval, resolved=resolved)
+            for middle in [(low + high) / 2]
+            # of a faint band the edges are told badly; every second one would hold some multiple of the mains
+            if np.min(np.abs(middle / places - 1)) < NEAR or (named and np.any((low < places) & (places < high)))
         ]
     where = "hum was named" if named else "the mains are"
     return [
@@ -127,16 +133,14 @@ def _error(component: str, frequency: float, rms: float, *, count: int, interval
     return Noise(f"hum at {frequency:.4g} Hz", component, np.full(count, rms), density)
 
 
-def _narrow_bands(learned: SpectralPrior, interval: float, places: Array) -> Iterator[tuple[float, float]]:
-    """Middle [Hz] and rms [N] of narrow bands of the force at some frequencies [Hz]."""
+def _narrow_bands(learned: SpectralPrior, interval: float, *, resolved: float) -> Iterator[tuple[float, float, float]]:
+    """Edges [Hz] and rms [N] of narrow bands of the force, which a line widens to what is resolved [Hz]."""
     spectrum = learned.spectrum
     if spectrum.roll_off:
         return
     edges, levels = np.append(0.0, spectrum.edges), np.concatenate([[0.0], spectrum.levels, [0.0]])
     for place, level in enumerate(spectrum.levels):
         low, high = float(edges[place]), min(float(edges[place + 1]), 0.5 / interval)
-        middle, beside = (low + high) / 2, float(max(levels[place], levels[place + 2]))
-        if not level > STANDS_OUT * beside or high - low > NARROW * middle:
-            continue
-        if np.min(np.abs(middle / places - 1)) < NEAR:
-            yield middle, float(np.sqrt(2 * (level - beside) * (high - low)))
+        beside = float(max(levels[place], levels[place + 2]))
+        if level > STANDS_OUT * beside and high - low <= NARROW * (low + high) / 2 + resolved:
+            yield low, high, float(np.sqrt(2 * (level - beside) * (high - low)))
