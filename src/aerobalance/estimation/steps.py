@@ -172,12 +172,14 @@ def shape_at(step: Step, time: Array) -> Array:
 def side_variance(step: Step, time: Array, *, height: float, interval: float) -> Array:
     """Return the mean square error of the force, as a sample may lie on the other side of a step, shape (n,) [N^2].
 
-    The force there is that before the step or that after it, whichever is likelier, and not the mean of both.
+    The force there is that before the step or that after it, whichever is likelier, and not the mean of both. Of a
+    change within one interval at most one sample tells the course: it may be sudden as well, and on either side of
+    it, so that a share p of the height has a variance of p (1 - p), the largest that a value from 0 to 1 can have.
 
     Parameters
     ----------
     step
-        The step; one that takes its time has no sides.
+        The step; one that takes longer than from one sample to the next has no sides.
     time
         Times of the samples, shape (n,) [s].
     height
@@ -185,8 +187,11 @@ def side_variance(step: Step, time: Array, *, height: float, interval: float) ->
     interval
         Time between samples [s].
     """
-    if step.duration > 0:
+    if step.duration > interval:
         return np.zeros(time.size)
+    if step.duration > 0:
+        share = shape_at(step, time)
+        return height**2 * share * (1 - share)
     other = ndtr(-np.abs(time - step.instant) / np.maximum(step.instant_uncertainty, 1e-12 * interval))
     return np.asarray(height**2 * np.where(other < NEVER, 0.0, other))
 
