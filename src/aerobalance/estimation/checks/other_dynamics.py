@@ -230,8 +230,8 @@ def other_dynamics_in(
     reading, within = seen
     known = record.load
 
-    def beside_steps(other: Dynamics, some: Sequence[Step]) -> Array:
-        return _without_tones(without_steps(replace(reading, dynamics=other), some))
+    def beside_steps(other: Dynamics, some: Sequence[Step], *, first: int = 0) -> Array:
+        return _without_tones(without_steps(replace(reading, dynamics=other, values=reading.values[first:]), some))
 
     spoken = spoken_for(
         _without_tones(reading.values),

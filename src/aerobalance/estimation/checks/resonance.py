@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from typing import Final, NamedTuple, Protocol
 
 import numpy as np
 from scipy.optimize import minimize
@@ -46,6 +46,8 @@ class ResonanceSettings:
         reached 10.
     open_far, open_far_half
         The same of a further mode, the price of its numbers paid, and of a balance that does not ring.
+    after, fewest
+        Periods after the largest reading from which on what follows is looked at, and samples that it needs.
     usual
         Factor by which a damping ratio is usually off, one standard deviation of its logarithm: of a short record a
         resonance of any width may be left, and one ten times as wide is not as likely as one that is nearly the same.
@@ -87,6 +89,8 @@ class ResonanceSettings:
     open_from: float = 4.5
     open_half: float = 8.0
     open_steepness: float = 0.8
+    after: float = 2.0
+    fewest: int = 256
     usual: float = 2.0
     open_far: float = 7.0
     open_far_half: float = 10.0
@@ -113,6 +117,14 @@ SETTINGS: Final = ResonanceSettings()
 
 MOVED: Final = ("natural frequency", "damping ratio")
 """Kinds of dynamics with as many modes as are known: the same free oscillation tells against either."""
+
+
+class BesideSteps(Protocol):
+    """What readings are without some steps and the free oscillation from their begin."""
+
+    def __call__(self, dynamics: Dynamics, steps: Sequence[Step], /, *, first: int = 0) -> Array:
+        """Return what is left of them with some dynamics, shape (n,) [N]; of those from a sample on, without steps."""
+        ...
 
 
 class Spoken(NamedTuple):
@@ -151,7 +163,7 @@ def spoken_for(
     learned: SpectralPrior | None = None,
     color_found: bool = True,
     steps: Sequence[Step] = (),
-    beside_steps: Callable[[Dynamics, Sequence[Step]], Array] | None = None,
+    beside_steps: BesideSteps | None = None,
 ) -> Spoken | None:
     """Return the dynamics that a record speaks for instead of its own, and how clearly; None where it does not.
 
@@ -212,10 +224,8 @@ def spoken_for(
             line and _is_line(clear.dynamics.modes[0], evidence, width=SETTINGS.line_beside)
         ):
             clear = None
-    elif clear is not None and clear.kind in MOVED and beside_steps is not None:
-        gain = _gain_beside(evidence, dynamics, clear.dynamics, beside_steps) - _price(clear.kind, evidence)
-        if clear.probability == 1 and gain < SETTINGS.decisive:
-            clear = None
+    elif clear is not None and beside_steps is not None and not _stands(clear, evidence, dynamics, beside_steps):
+        clear = None
     if near is not None and (clear is None or clear.probability < 1):
         clear = _beside(evidence, dynamics, near, own=own, confirmed=confirmed, beside_steps=beside_steps) or clear
     return clear
@@ -271,7 +281,7 @@ def _beside(
     *,
     own: float,
     confirmed: float,
-    beside_steps: Callable[[Dynamics, Sequence[Step]], Array] | None,
+    beside_steps: BesideSteps | None,
 ) -> Spoken | None:
     """The dynamics with a resonance beside the expected one, and how probable they are; None where they are not.
 
@@ -333,7 +343,7 @@ def _gain_beside(
     evidence: Evidence,
     dynamics: Dynamics,
     other: Dynamics,
-    beside_steps: Callable[[Dynamics, Sequence[Step]], Array],
+    beside_steps: BesideSteps,
 ) -> float:
     """Gain of other dynamics, each with a free oscillation from the begin of the record where that makes it likelier.
 
@@ -347,6 +357,35 @@ def _gain_beside(
         for one in (dynamics, other)
     )
     return others - own
+
+
+def _stands(clear: Spoken, evidence: Evidence, dynamics: Dynamics, beside_steps: BesideSteps) -> bool:
+    """Whether other dynamics are believed beside a free oscillation, from the begin or after the largest reading."""
+    if clear.kind == "no resonance":
+        return not _rings_on(evidence, dynamics, clear.dynamics, beside_steps)
+    if clear.kind not in MOVED or clear.probability < 1:
+        return True
+    gain = _gain_beside(evidence, dynamics, clear.dynamics, beside_steps) - _price(clear.kind, evidence)
+    return gain >= SETTINGS.decisive
+
+
+def _rings_on(evidence: Evidence, dynamics: Dynamics, none: Dynamics, beside_steps: BesideSteps) -> bool:
+    """Whether what comes after the largest reading speaks clearly for a free oscillation of the dynamics.
+
+    A single blow has a spectrum with holes, of which one beside the natural frequency hides the resonance; what rings
+    on after it is told by its course. Where a load keeps a balance of other dynamics in motion that says the same of
+    them after its largest reading as before.
+    """
+    later = round(SETTINGS.after / (dynamics.natural_frequency * evidence.interval))
+    first = int(np.argmax(np.abs(evidence.values))) + later
+    if evidence.values.size - first < SETTINGS.fewest:
+        return False
+    gains = []
+    for one in (dynamics, none):
+        left = beside_steps(one, (), first=first)[: evidence.values.size - first]
+        part = replace(evidence, values=left - left.mean(), _known={}, _density=None, _edges=None)
+        gains.append(part.of(one))
+    return gains[0] - gains[1] >= SETTINGS.decisive
 
 
 def _named(spoken: Spoken, evidence: Evidence, dynamics: Dynamics, *, confirmed: float) -> Spoken | None:
