@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,16 +12,20 @@ from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.ground_alignment import alone
 from aerobalance.estimation.checks.ground_channels import GroundFault, ground_faults, measured
 from aerobalance.estimation.checks.ground_doubts import LEFT_OPEN
-from aerobalance.estimation.checks.ground_witnesses import SETTINGS, Witness, Witnesses
-from aerobalance.estimation.checks.white_readings import White
+from aerobalance.estimation.checks.ground_witnesses import SETTINGS, Witness, Witnesses, above_noise
+from aerobalance.estimation.checks.white_readings import Solved, White
 from aerobalance.estimation.component_force import Fitted
 from aerobalance.estimation.coupled_record import CoupledRecord
+from aerobalance.recording.channel import Array
+from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.doubts import Doubt, Verdict
 from aerobalance.recording.resampling import interpolate_gaps
-from aerobalance.simulation import Sensor
+from aerobalance.simulation import Sensor, SixComponentRig, broadband
+from aerobalance.simulation.six_balance import random_balance
+from aerobalance.simulation.six_signals import Band
 from faults.cases import Case, all_cases
 from faults.trials import of_one, scores, worked_out
-from helpers.shaken_six import shaken
+from helpers.shaken_six import RATE, Shaken, shaken
 from seeds import trials
 
 SOUND = {
@@ -214,3 +219,58 @@ def test_what_is_left_open_is_as_likely_as_not_where_it_is_sure():
     # three standard uncertainties have a log-likelihood that is 1.625 less: the logit falls by 0.8 of that
     assert fault.probability(3.01, 1.0) == pytest.approx(1 / (1 + np.exp(0.8 * 0.5 * (3.5**2 - 3.01**2))))
     assert fault.probability(2.99, 1.0) == 0.0
+
+
+def swept(seed: int) -> Shaken:
+    """A model that is pitched from -5 to 5 degrees within 2 s, with lift, pitching moment and drag that go with it."""
+    rng, duration = np.random.default_rng(seed), 2.0
+    balance = random_balance(rng)
+    gusts = broadband(rng, Band(0, 100), rms=0.01 * balance.half_range, period=2 * duration)
+
+    def angle(time: Array) -> Array:
+        """Angle over the largest one: it rests for a tenth of the time at either end."""
+        return np.asarray(np.clip((time - 0.2) / (duration - 0.4), 0, 1) * 2 - 1)
+
+    def applied(time: Array) -> Array:
+        at = angle(time)
+        shares = {"NF": 0.4 * at, "PM": -0.12 * at, "AF": 0.1 + 0.1 * at**2}
+        own = np.column_stack([shares.get(name, 0 * at) for name in COMPONENTS])
+        return gusts(time) + own * balance.half_range
+
+    rig = SixComponentRig(
+        balance, applied=applied, pitch=lambda time: np.radians(5) * angle(time), output="loads", rate=RATE
+    )
+    made = rig.run(duration, rng)
+    return Shaken(made.recording, replace(balance.dynamics, mass=balance.mass), made.applied)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_forces_that_go_with_the_angle_are_not_taken_for_its_gain(seed):
+    """They are in each component in a proportion of their own, and a wrong channel in those of the mass."""
+    run = swept(seed)
+    assert about_ground(run.force) == []
+    # what was taken for the angle's error counted a hundred to several thousand times the force's own
+    assert min(run.ratios(run.force).values()) > 1 / 3
+
+
+def test_a_line_of_noise_is_no_motion():
+    """The line through the first and the last reading was taken for one, and its gain was anything."""
+    rng = np.random.default_rng(4)
+    for _ in range(20):
+        motion, rate = above_noise(rng.normal(size=4000), noise=1.0)
+        assert not motion.any()
+        assert not rate.any()
+    # a line from -1 to 1 has the power 8 n / pi^4 at its first line, more than 30 times that of the noise
+    line = np.linspace(-1, 1, 4000)
+    motion, _ = above_noise(line + rng.normal(size=line.size), noise=1.0)
+    assert motion.any()
+
+
+def test_of_shapes_that_are_one_the_size_goes_to_what_is_expected():
+    """A channel that moves in a straight line reads the same with another gain as with a clock that drifts."""
+    gain, drift = np.array([10.0, 0.25])
+    gram = 1e4 * np.ones((2, 2))
+    found = Solved.of(gram, -2e4 * np.ones(2), expected=np.array([gain, drift]))
+    # minimum of (x + y + 2)^2 1e4 + (x / gain)^2 + (y / drift)^2: x and y in proportion to their variances
+    whole = -2 / (1 + 1 / (1e4 * (gain**2 + drift**2)))
+    np.testing.assert_allclose(found.sizes, whole * np.array([gain**2, drift**2]) / (gain**2 + drift**2), rtol=1e-9)

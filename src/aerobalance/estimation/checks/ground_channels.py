@@ -8,24 +8,28 @@ the motion, as that of the flow on a model that swings does, looks the same, whi
 
 Of coupled components one channel shows in the loads of several, and several channels in one: the readings of all are
 asked together, what their noise has in common left out, and of the channels the one is named that explains most, and
-then what the others explain beside it.
+then what the others explain beside it. What the components show of a channel in other proportions than those of the
+mass is a force.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, replace
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.fft import irfft
-from scipy.special import expit
+from scipy.special import chdtri, expit
 
 from aerobalance.estimation.checks.ground_witnesses import SETTINGS, ChannelShapes, Witnesses
 from aerobalance.estimation.checks.white_readings import Lines, Solved, White, length_of
 from aerobalance.recording.channel import Array
 from aerobalance.recording.resampling import fractional_delay
 from aerobalance.recording.side_by_side import side_by_side
+
+GAIN_ALONE: Final = np.array([1e-6, 1.0, 1e-6])
+"""Part of what is expected of a channel's shapes where it may have another gain and no delay."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,7 +95,7 @@ def ground_faults(asked: Witnesses) -> dict[str, list[GroundFault]]:
         if shapes is None:
             return None, None
         columns = white.with_drift(shapes.felt)
-        shows = white.solved(columns).explained > asked.worth_a_look
+        shows = white.solved(columns, expected=asked.expected).explained > asked.worth_a_look
         hint = Far.of(white, columns[..., 1], samples=asked.recording.samples, pace=shapes.pace)
         late = hint is not None and hint.gained >= asked.promising(shapes.pace)
         return asked.with_drift(shapes) if shows else None, (hint, shapes) if hint is not None and late else None
@@ -115,16 +119,30 @@ def _together(asked: Witnesses, suspects: list[ChannelShapes]) -> dict[str, list
     white = _without(asked, suspects)
     columns = [white.columns(one.felt) for one in suspects]
 
-    def solved(places: list[int]) -> Solved:
-        return white.solved(np.concatenate([columns[place] for place in places], axis=-1))
+    expected, by_gain = [asked.expected for _ in suspects], list[int]()
 
-    best = Solved(np.zeros(0), np.zeros((0, 0)), 0.0)
-    while len(chosen) < len(suspects):
-        rest = [place for place in range(len(suspects)) if place not in chosen]
+    def solved(places: list[int]) -> Solved:
+        together = np.concatenate([columns[place] for place in places], axis=-1)
+        return white.solved(together, expected=np.concatenate([expected[place] for place in places]))
+
+    def less(found: Solved, places: list[int]) -> White:
+        """The readings less what channels explain of them."""
+        explained = [columns[one] @ found.of_channel(number).sizes for number, one in enumerate(places)]
+        return replace(white, shown=white.shown - sum(explained)) if explained else white
+
+    best, rest = Solved(np.zeros(0), np.zeros((0, 0)), 0.0), list(range(len(suspects)))
+    while rest:
         found, place = max(((solved([*chosen, one]), one) for one in rest), key=lambda pair: pair[0].explained)
         own = found.of_channel(len(chosen))
         if not own.clear(asked.least):
             break
+        if place not in by_gain and (np.abs(own.sizes) > asked.most).any():
+            by_gain.append(place)
+            expected[place] = asked.expected * GAIN_ALONE
+            continue
+        rest.remove(place)
+        if not _agree(less(found, chosen), columns[place], expected[place], gained=found.explained - best.explained):
+            continue
         best, chosen = found, [*chosen, place]
         if not own.clear(asked.sure):
             break  # what the record leaves open explains nothing beside it
@@ -135,6 +153,28 @@ def _together(asked: Witnesses, suspects: list[ChannelShapes]) -> dict[str, list
         ]
         for row, one in enumerate(asked.all)
     }
+
+
+def _agree(white: White, own: Lines, expected: Array, *, gained: float) -> bool:
+    """Whether the loads of the components show the same of a channel.
+
+    A wrong channel is in all of them in the proportions of the mass. The lift of a model that is pitched goes with the
+    angle as well, in proportions of its own: taken for the channel's it would be an error of all the other forces.
+
+    Parameters
+    ----------
+    white
+        The readings, less what other channels explain of them.
+    own, expected
+        Shapes of the channel, and the standard deviations of their sizes before the readings are looked at.
+    gained
+        What they explain, of the same sizes in all components.
+    """
+    count = own.shape[1]
+    apart = [np.where(np.arange(count)[:, None] == place, own, 0) for place in range(count)]
+    each = white.solved(np.concatenate(apart, axis=-1), expected=np.tile(expected, count)).explained
+    by_chance = float(chdtri(own.shape[-1] * (count - 1), SETTINGS.disagree)) if count > 1 else np.inf
+    return each - gained < max(by_chance, SETTINGS.inexact * gained)
 
 
 def _without(asked: Witnesses, channels: Sequence[ChannelShapes]) -> White:
@@ -170,10 +210,10 @@ def measured(asked: Witnesses, name: str) -> tuple[ChannelShapes, Solved] | None
         return None
     shapes = asked.with_drift(shapes)
     white = White.of(asked, [one.fit.filter for one in asked.all])
-    found = white.solved(white.columns(shapes.felt))
+    found = white.solved(white.columns(shapes.felt), expected=asked.expected)
     if found.explained > asked.worth_a_look:
         white = _without(asked, [shapes])
-        found = white.solved(white.columns(shapes.felt))
+        found = white.solved(white.columns(shapes.felt), expected=asked.expected)
     return shapes, found
 
 

@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.fft import irfft, rfft
 from scipy.special import chdtrc, chdtri, ndtr, ndtri
 
@@ -62,7 +63,12 @@ class GroundChannelSettings:
     rounds
         Most times that delay and gain are looked for.
     reach
-        Largest delay that is tried, over the length of the record.
+        Largest delay that is tried, over the length of the record. Before the loads are asked, a delay and its change
+        along the record are expected within that (standard deviation).
+    gains
+        Change of a gain that is expected before the loads are asked (standard deviation) [1]: mistaken units and signs
+        are told to far better than that where the loads show the channel at all. Else a channel that hardly moves, or
+        that moves in a straight line, whose gain looks like a drift of its clock, would have any gain by chance.
     apart, beyond_slopes
         Part of a period of the motion (its rms frequency), and so many of them from which on slopes do not tell a
         delay any more.
@@ -74,6 +80,11 @@ class GroundChannelSettings:
     least
         Least level of a combination of components over that of one: where they have nearly all of their noise in
         common, what is left is less than the shapes are exact by. More noise than there is leaves u no smaller.
+    disagree, inexact
+        Probability by chance of what the components show of a channel each for itself, beyond what all of them show,
+        from which on they disagree; and the least part of what all of them show that it has to be. Where the motion is
+        much larger than the noise, shapes are not as exact as chance is small: a delay is told to first order, half a
+        radian of it to a quarter, and a sixteenth of the squares.
     beyond
         Samples beyond those that a declared delay leaves out, by which a shape there is not exact yet.
     """
@@ -93,6 +104,7 @@ class GroundChannelSettings:
     settled: float = 0.1
     rounds: int = 5
     reach: float = 0.125
+    gains: float = 10.0
     apart: float = 0.05
     beyond_slopes: float = 2.0
     promising: float = 3.0
@@ -100,6 +112,8 @@ class GroundChannelSettings:
     coherent: int = 64
     part: int = 10
     least: float = 0.5
+    disagree: float = 1e-6
+    inexact: float = 0.1
     beyond: int = 2
 
 
@@ -233,6 +247,18 @@ class Witnesses:
         return ChannelShapes(shapes.name, (*shapes.slopes, slope), felt)
 
     @property
+    def expected(self) -> Array:
+        """Standard deviations of a channel's shapes before the loads are asked, shape (3,): [s], [1], [s]."""
+        late = SETTINGS.reach * self.recording.samples / self.recording.rate
+        return np.array([late, SETTINGS.gains, late])
+
+    @property
+    def most(self) -> Array:
+        """Largest sizes of a channel's shapes that are looked for, shape (3,): [s], [1], [s]."""
+        late = self.expected[0]
+        return np.array([late, np.inf, 2 * late])  # from early to late along the record
+
+    @property
     def sure(self) -> float:
         """Standard uncertainties that a delay or a gain of one of the channels has to be off."""
         return -float(ndtri(ndtr(-SETTINGS.sure) / len(self.changes.channels)))
@@ -285,20 +311,36 @@ def above_noise(values: Array, *, noise: float) -> tuple[Array, Array]:
         Shape (n,) each; the rate for each sampling interval.
     """
     count = values.size
+    if not _moves(values, noise=noise):
+        return np.zeros(count), np.zeros(count)
     line = np.linspace(values[0], values[-1], count)
     # reflected at points, its rate goes on at the ends: what a bend there does, the load would have to show as well
     reflected = np.concatenate([values - line, (line - values)[::-1]])
     lines = rfft(reflected)
-    power = np.square(np.abs(lines)) / (2 * count)
-    edges = np.unique(np.round(np.geomspace(1, power.size, SETTINGS.bands)).astype(int))
-    level = np.add.reduceat(power, edges[:-1]) / np.diff(edges)
+    edges, level = _levels(lines)
     above = np.log(np.maximum(level, 1e-300) / max(SETTINGS.stands_out * noise**2, 1e-300))
     share = np.clip(above / np.log(SETTINGS.clearly / SETTINGS.stands_out), 0.0, 1.0)
     if not share.any():
         return line, np.full(count, line[1] - line[0])
     middle = np.log(np.sqrt(edges[:-1] * np.maximum(edges[1:] - 1, edges[:-1])))
-    kept = np.concatenate([[0.0], np.interp(np.log(np.arange(1, power.size)), middle, share)])
+    kept = np.concatenate([[0.0], np.interp(np.log(np.arange(1, lines.size)), middle, share)])
     lines = lines * kept
-    by_rate = 1j * np.pi * np.arange(power.size) / count
+    by_rate = 1j * np.pi * np.arange(lines.size) / count
     motion, rate = (irfft(one, 2 * count)[:count] for one in (lines, by_rate * lines))
     return np.asarray(line + motion), np.asarray(line[1] - line[0] + rate)
+
+
+def _levels(lines: NDArray[np.complex128]) -> tuple[NDArray[np.intp], Array]:
+    """Bands of a reflected series, their first lines and the one after the last, and the mean power in each."""
+    power = np.square(np.abs(lines)) / (2 * (lines.size - 1))
+    edges = np.unique(np.round(np.geomspace(1, power.size, SETTINGS.bands)).astype(int))
+    return edges, np.add.reduceat(power, edges[:-1]) / np.diff(edges)
+
+
+def _moves(values: Array, *, noise: float) -> bool:
+    """Whether a channel stands out of its white noise in any band.
+
+    Reflected as they are: a line through two readings that are noise would be motion of the size of the noise.
+    """
+    _, level = _levels(rfft(np.concatenate([values, values[::-1]])))
+    return bool((level > SETTINGS.stands_out * noise**2).any())

@@ -38,8 +38,18 @@ class Solved:
     explained: float
 
     @classmethod
-    def of(cls, gram: Array, moment: Array) -> Solved:
-        """Solve normal equations; of shapes that depend on each other only what they tell together has a size."""
+    def of(cls, gram: Array, moment: Array, *, expected: Array | None = None) -> Solved:
+        """Solve normal equations; of shapes that depend on each other only what they tell together has a size.
+
+        Parameters
+        ----------
+        gram, moment
+            The equations.
+        expected
+            Standard deviations of the sizes before the readings are looked at, shape (p,); None where any will do.
+        """
+        if expected is not None:
+            gram = gram + np.diag(expected**-2.0)
         scale = np.sqrt(np.diag(gram))
         scale[scale == 0] = 1.0
         information, vectors = np.linalg.eigh(gram / np.outer(scale, scale))
@@ -131,10 +141,11 @@ class White:
             return felt
         return _less(_inside(self.filters[place].whiten(felt), self.unseen[place]), self.bases[place])
 
-    def solved(self, columns: Lines, shown: Lines | None = None) -> Solved:
-        """Sizes of shapes in the readings, or in others."""
+    def solved(self, columns: Lines, shown: Lines | None = None, *, expected: Array | None = None) -> Solved:
+        """Sizes of shapes in the readings, or in others, that are expected to be of some size."""
         weighted = np.matmul(self.weights, columns)
-        return Solved.of(_sum(columns, weighted), _sum(weighted, self.shown if shown is None else shown))
+        moment = _sum(weighted, self.shown if shown is None else shown)
+        return Solved.of(_sum(columns, weighted), moment, expected=expected)
 
     def squares(self, shown: Lines) -> float:
         """Sum of the squares of readings, shape (m, c), less what they have in common."""
