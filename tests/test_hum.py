@@ -6,7 +6,14 @@ import numpy as np
 import pytest
 
 from aerobalance.estimation.force import estimate_force
-from aerobalance.estimation.spectra.line_noise import _line_of, _Near, columns_of_lines, hum_lines, reading_of_lines
+from aerobalance.estimation.spectra.line_noise import (
+    _line_of,
+    _Near,
+    columns_of_lines,
+    hum_lines,
+    load_harmonics,
+    reading_of_lines,
+)
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
@@ -81,6 +88,44 @@ def test_a_tone_elsewhere_is_not_hum(frequency, rng):
     time = clock(6)
     values = hum(rng, time, frequency, {1: 30.0}) + rng.normal(0, NOISE, time.size)
     assert hum_lines(values, 1 / RATE) == ()
+
+
+def triangle(time: np.ndarray, frequency: float, size: float) -> np.ndarray:
+    return size * (4 * np.abs((frequency * time) % 1 - 0.5) - 1)
+
+
+def read(force: np.ndarray, over: int) -> np.ndarray:
+    """What the T-128 reads of a force that starts from rest, given over times as often."""
+    return T128.balance_load(force - force[0], interval=1 / (over * RATE))[::over] + force[0]
+
+
+def test_a_harmonic_of_a_load_that_repeats_is_not_hum(rng):
+    # the 15th of 4 Hz is at 60 Hz: 8 * 200 / (15 pi)^2 = 0.72 N, which the balance makes 4.2 N
+    over = 16
+    force = triangle(np.arange(round(2.5 * RATE * over)) / (over * RATE), 4.0, 200.0)
+    load = read(force, over) + rng.normal(0, NOISE, round(2.5 * RATE))
+    found = estimate_force(record_of(load), T128)["AF"]  # a line that is taken for hum would be warned of
+    assert found.hum == ()
+    assert "hum" not in [doubt.kind for doubt in found.doubts]
+    left = found.values - force[::over]
+    size = abs(np.exp(-2j * np.pi * 60 * clock(2.5)) @ left) * 2 / left.size
+    # by the noise of the readings: the deviation of an amplitude is noise sqrt(2 / n), over the response; 6 of these
+    gain = abs(complex(T128.response(60.0)))
+    assert size < 6 * NOISE * np.sqrt(2 / left.size) / gain
+
+
+@pytest.mark.parametrize(
+    "case", ["no load that repeats", "a load of another frequency", "hum that is stronger than the load's lines"]
+)
+def test_hum_is_no_harmonic_of_a_load(case, rng):
+    # multiples of the mains lie in the middle of others too; 60 Hz is no multiple of 7.3 Hz; and 20 N at 60 Hz would
+    # be a force of 3.5 N, between those at 52 and 68 Hz of 0.96 and 0.56 N
+    time = clock(4)
+    force = {"n": 0 * time, "a": triangle(time, 7.3, 200.0), "h": triangle(time, 4.0, 200.0)}[case[0]]
+    values = read(force, 1) + hum(rng, time, 60.0, {1: 20.0, 2: 10.0, 3: 6.0}) + rng.normal(0, NOISE, time.size)
+    lines = hum_lines(values, 1 / RATE)
+    assert [round(line.frequency) for line in lines] == [60, 120, 180]
+    assert load_harmonics(values, 1 / RATE, lines, T128.response) == ()
 
 
 def test_a_line_that_comes_or_fades_is_not_hum(rng):

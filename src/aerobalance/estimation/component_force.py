@@ -332,6 +332,7 @@ class Fitted:
                 learned,
                 named=() if isinstance(self.hum, str) else self.hum,
                 large=self._large,
+                of_load=self.signal.of_load,
                 count=count,
                 interval=reading.interval,
                 unit=unit,

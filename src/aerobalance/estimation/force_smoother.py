@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -20,7 +20,7 @@ from aerobalance.estimation.prior import (
     least_squares,
     whitened,
 )
-from aerobalance.estimation.spectra.line_noise import Hum, Line, columns_of_lines, hum_lines
+from aerobalance.estimation.spectra.line_noise import Hum, Line, columns_of_lines, hum_lines, load_harmonics
 from aerobalance.estimation.spectra.noise_floor import Floor, with_floor
 from aerobalance.estimation.spectra.slow_noise import SlowNoise, slow_noise_of
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, StateSpace
@@ -72,6 +72,8 @@ class SignalModel:
         Noise that may rise at low frequency; None if there is nothing.
     ended
         The search for steps, where it ended before all were found; else None.
+    of_load
+        Lines at frequencies of the mains that are harmonics of a load that repeats.
     """
 
     reading: Observation
@@ -82,6 +84,15 @@ class SignalModel:
     floor: Floor | None = None
     slow: SlowNoise | None = None
     ended: StepSearch | None = None
+    of_load: tuple[Line, ...] = ()
+
+
+class _MainsLines(NamedTuple):
+    """Lines of the mains: those of hum, those that are too large for it, and harmonics of a load that repeats."""
+
+    hum: tuple[Line, ...]
+    large: tuple[Line, ...] = ()
+    of_load: tuple[Line, ...] = ()
 
 
 def fit_signal_model(reading: Observation, *, hum: Hum, resolution: float | None = None) -> SignalModel:
@@ -100,8 +111,8 @@ def fit_signal_model(reading: Observation, *, hum: Hum, resolution: float | None
         Step of its converter [N], where it is the reading of one channel: its noise may then rise at low frequency.
         None where it is decoupled from other components, as what is left of these may rise as well.
     """
-    lines, large = _hum_of(reading, reading.values, hum)
-    named, floor = _looked_above(replace(reading, hum=tuple(line.frequency for line in lines)), [])
+    mains = _hum_of(reading, reading.values, hum)
+    named, floor = _looked_above(replace(reading, hum=tuple(line.frequency for line in mains.hum)), [])
     named = evenly_weighted(named, columns=columns_of([], named))
     search = StepSearch(named)
     steps, learned = search.run()
@@ -115,8 +126,8 @@ def fit_signal_model(reading: Observation, *, hum: Hum, resolution: float | None
     if steps:
         if hum != "keep":
             heights = np.array([0.0, *(step.height for step in steps)])
-            lines, large = _hum_of(reading, reading.values - columns_of(steps, reading) @ heights, hum)
-        again, other = _looked_above(replace(reading, hum=tuple(line.frequency for line in lines)), steps)
+            mains = _hum_of(reading, reading.values - columns_of(steps, reading) @ heights, hum)
+        again, other = _looked_above(replace(reading, hum=tuple(line.frequency for line in mains.hum)), steps)
         again = replace(again, even=named.even)
         if _differ(named, again):
             named, floor, search = again, other, StepSearch(again)
@@ -131,7 +142,8 @@ def fit_signal_model(reading: Observation, *, hum: Hum, resolution: float | None
         named = slow.taken_by(named)
         search = StepSearch(named)
         steps, learned = search.run()
-    return SignalModel(named, steps, learned, lines, large, floor, slow, search if search.said else None)
+    ended = search if search.said else None
+    return SignalModel(named, steps, learned, mains.hum, mains.large, floor, slow, ended, mains.of_load)
 
 
 def _looked_above(reading: Observation, steps: Sequence[Step]) -> tuple[Observation, Floor | None]:
@@ -159,13 +171,17 @@ def _differ(one: Observation, other: Observation) -> bool:
     return bool(np.max(np.abs(np.log(ratio))) > SAME_NOISE)
 
 
-def _hum_of(reading: Observation, values: Array, hum: Hum) -> tuple[tuple[Line, ...], tuple[Line, ...]]:
-    """Lines of hum, and lines of the mains that are too large for it: a drive at 50 or 60 Hz is what is recorded."""
+def _hum_of(reading: Observation, values: Array, hum: Hum) -> _MainsLines:
+    """Lines of hum, and lines of the mains that are none: a drive at 50 or 60 Hz is what is recorded."""
     lines = hum_lines(values, reading.interval, hum=hum)
+    if hum != "mains" or not lines:
+        return _MainsLines(lines)
+    of_load = load_harmonics(values, reading.interval, lines, reading.dynamics.response)
+    lines = tuple(line for line in lines if line not in of_load)
     largest = LARGEST_HUM * float(np.nanmax(reading.values) - np.nanmin(reading.values)) / 2
-    if hum == "mains" and any(line.amplitude > largest for line in lines):
-        return (), lines
-    return lines, ()
+    if any(line.amplitude > largest for line in lines):
+        return _MainsLines((), lines, of_load)
+    return _MainsLines(lines, (), of_load)
 
 
 HIDDEN: Final = "force in gaps of the readings"

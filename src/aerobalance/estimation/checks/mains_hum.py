@@ -39,6 +39,7 @@ def hum_doubts(
     *,
     named: Sequence[float],
     large: Sequence[Line],
+    of_load: Sequence[Line] = (),
     count: int,
     interval: float,
     unit: str,
@@ -56,6 +57,8 @@ def hum_doubts(
         [Hz].
     large
         Lines at frequencies of the mains that are a large part of the record.
+    of_load
+        Lines there that are harmonics of a load that repeats.
     count, interval
         Samples of the record, and time between them [s].
     unit
@@ -77,6 +80,7 @@ def hum_doubts(
             for middle in [(low + high) / 2]
             # of a faint band the edges are told badly; every second one would hold some multiple of the mains
             if np.min(np.abs(middle / places - 1)) < NEAR or (named and np.any((low < places) & (places < high)))
+            if not any(abs(middle / line.frequency - 1) < NARROW for line in of_load)
         ]
     where = "hum was named" if named else "the mains are"
     return [

@@ -2,7 +2,8 @@ r"""Mains hum: steady lines at 50 or 60 Hz and their harmonics that the wiring a
 
 Nothing in a reading but its frequency tells such a line from a force. A line is taken for hum if it lies at a multiple
 of the mains frequency, stands out of the Hann periodogram around it far beyond chance, is as narrow as the record's
-length allows, and keeps amplitude and phase from the beginning of the record to its end.
+length allows, and keeps amplitude and phase from the beginning of the record to its end. It may still be one of
+the harmonics of a load that repeats: then others lie at the same distance on either side of it.
 
 An ordinate is a frequency of the periodogram, a whole multiple of 1 / T with T the length of the record; as a unit,
 "two ordinates" are 2 / T. Powers of ordinates are scaled so that white noise of variance sigma^2 has the mean sigma^2.
@@ -17,7 +18,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal
 
@@ -64,6 +65,14 @@ QUARTERS: Final = 4
 
 UNSTEADY: Final = 0.2
 """Departure of the complex amplitude in a part from the mean, relative, that is allowed beside chance [1]."""
+
+
+MOST_BESIDE: Final = 64
+"""Highest number of half distances of two neighbouring harmonics of a load in a frequency of the mains."""
+
+NO_STRONGER: Final = 2.0
+"""Force at a harmonic over the stronger of its neighbours up to which all three are of one load: of n to the power p
+the amplitudes of harmonics differ by (1 - 1/n)^-p, 1.8 for the second power and n from 4 on."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +166,31 @@ def hum_lines(values: Array, interval: float, *, hum: Hum = "mains") -> tuple[Li
     return tuple(record.line(frequency, reach=MAINS_TOLERANCE * frequency + record.ordinate) for frequency in hum)
 
 
+def load_harmonics(
+    values: Array, interval: float, lines: Sequence[Line], response: Callable[[Array], NDArray[np.complex128]]
+) -> tuple[Line, ...]:
+    """Return those of a record's lines of the mains that are harmonics of a load that repeats.
+
+    A load of 4 Hz has one at 60 Hz. It then has others at the same distance on either side of it, of which none is one
+    of the mains, and which are about as strong as forces.
+
+    Parameters
+    ----------
+    values
+        Readings, known shapes taken out, shape (n,) [N]; NaN where missing.
+    interval
+        Time between samples [s].
+    lines
+        What `hum_lines` found in it.
+    response
+        The balance's response, reading over force, at frequencies [Hz].
+    """
+    if not lines:
+        return ()
+    record = _Record.of(values, interval)
+    return tuple(line for line in lines if _of_load(record, line, lines, response))
+
+
 def _total_evidence(lines: tuple[Line, ...]) -> float:
     """Sum of the evidence of all lines [1]: it decides between 50 and 60 Hz."""
     return sum(line.evidence for line in lines)
@@ -193,6 +227,38 @@ def _harmonics(record: _Record, mains: float) -> Iterator[Line]:
     }
     if 1 in agreeing or len(agreeing) > 1:
         yield from agreeing.values()
+
+
+def _of_load(
+    record: _Record, line: Line, hum: Sequence[Line], response: Callable[[Array], NDArray[np.complex128]]
+) -> bool:
+    """Whether a line is a harmonic of a load that repeats: in the middle of two others, and no stronger than they."""
+    # the distance of neighbours is the load's fundamental, or twice that where it has odd harmonics only
+    distances = 2 * line.frequency / np.arange(3, MOST_BESIDE + 1)
+    distances = distances[distances > BESIDE[0] * record.ordinate]
+    sides = line.frequency + np.multiply.outer([-1.0, 1.0], distances)
+    inside = (sides[0] > 2 * record.ordinate) & (sides[1] < 0.5 / record.interval - 2 * record.ordinate)
+    distances, sides = distances[inside], sides[:, inside]
+    if not distances.size:
+        return False
+    places = np.rint(sides / record.ordinate).astype(np.int64)
+    tried = record.promising(places.ravel()).reshape(places.shape).all(axis=0)
+    for distance in distances[tried]:
+        beside = [record.line(line.frequency + side * distance, reach=record.ordinate) for side in (-1, 1)]
+        # two lines of the mains have others of the mains in their middle
+        if any(abs(one.frequency - other.frequency) < record.ordinate for one in beside for other in hum):
+            continue
+        sharp = all(one.evidence > LINE_EVIDENCE and record.steady(one.frequency) for one in beside)
+        if not sharp or not all(
+            abs(one.frequency - line.frequency - side * distance)
+            <= 4 * np.hypot(one.u_frequency, line.u_frequency) + 0.1 * record.ordinate
+            for side, one in zip((-1, 1), beside, strict=True)
+        ):
+            continue
+        forces = [one.amplitude / abs(response(np.array([one.frequency]))[0]) for one in (line, *beside)]
+        if forces[0] <= NO_STRONGER * max(forces[1:]):
+            return True
+    return False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
