@@ -461,6 +461,37 @@ def test_a_sweep_through_the_resonance_is_no_shocks_and_no_other_balance(first, 
     assert np.sqrt(np.mean(error**2) / np.mean(force.only.uncertainty**2)) < 1.25
 
 
+def kinked(shape: str, time: np.ndarray) -> np.ndarray:
+    """Loads without jumps whose slope jumps: a burst, a tone that changes, and a wave of straight lines [N]."""
+    if shape == "burst":
+        return np.where((time > 1) & (time < 1.5), 150 * np.sin(2 * np.pi * 80 * time), 0.0)
+    if shape == "tone that changes":
+        return 200 * np.sin(2 * np.pi * np.where(time < 1.2, 10.0, 30.0) * time)
+    return 200 * (4 * np.abs((4 * time) % 1 - 0.5) - 1)
+
+
+@pytest.mark.parametrize("shape", ["burst", "tone that changes", "triangle"])
+@pytest.mark.soak(first=2)
+def test_a_load_with_kinks_beside_the_best_band_limited_inverse(shape, rng) -> None:
+    """Its bandwidth is chosen with the truth known; it may be better by a tenth, as in one record it is by chance.
+
+    The rms error of about 2 B T = 500 numbers, B = 100 Hz the band in which the force is seen, deviates by 3 %, and a
+    tenth is three of these.
+    """
+    fine = 16
+    truth = kinked(shape, np.arange(round(2.5 * RATE) * fine) / (fine * RATE))
+    load = T128.balance_load(truth - truth[0], interval=1 / (fine * RATE))[::fine] + truth[0]
+    channel = Channel("AF", load + rng.normal(0, 2.0, load.size), "N")
+    run = Recording.from_columns(np.arange(load.size) / RATE, {"AF": channel}, name="kinks")
+    force = estimate_force(run, T128).only
+    bands = [estimate_force(run, T128, bandwidth=band).only for band in np.geomspace(70, 250, 10)]
+    error, *others = (float(np.sqrt(np.mean((one.values - truth[::fine]) ** 2))) for one in (force, *bands))
+    assert error < 1.1 * min(others)
+    assert not force.steps
+    # the stated error may be larger, as what lies beyond what is seen is told by the way in which it falls
+    assert 0.4 < error / np.sqrt(np.mean(force.uncertainty**2)) < 1.25
+
+
 def test_a_load_that_is_alike_all_along_is_weighed_as_before(rng) -> None:
     reading = smooth_reading(rng)
     assert evenly_weighted(reading, columns=np.ones((reading.values.size, 1))) is reading

@@ -1,5 +1,7 @@
 """The spectrum that is learned from a periodogram, against spectra that are known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
@@ -232,6 +234,40 @@ def test_edge_without_noise_is_where_the_window_has_it(edge, rng):
     found = fit(felt(rng, lambda f: np.where(f <= edge, 40.0, 0.0), noise=0.0, n=4800)).spectrum
     below = found.edges[np.searchsorted(-found.levels, -1.0) - 1]
     assert below == pytest.approx(edge, abs=1.4)  # an average of four ordinates
+
+
+def test_tail_beyond_a_narrow_band_is_found(rng):
+    # a tone of some width over a foot that ends in a tail of the sixth power, as a burst has it
+    def density(frequency):
+        foot = 0.5 * np.maximum(frequency / 113, 1.0) ** -6.0
+        return np.where(np.abs(frequency - 80) < 5, 500.0, foot)
+
+    found = fit(felt(rng, density, n=4000)).spectrum
+    assert found.tail is not None
+    # at 300 Hz the noise is 2^2 / 1600 = 2.5e-3 N^2/Hz, and what the balance shows of the force a thousandth of that.
+    # The powers beside the sixth that are tried, 5 and 8, leave (300 / 113)^2 = 7; a constant, (300 / 113)^6 = 350
+    place = np.array([200.0, 300.0])
+    assert np.all(np.abs(np.log(found.density(place) / density(place))) < 2 * np.log(300 / 113))
+
+
+def test_a_sharp_band_has_no_tail(rng):
+    found = fit(felt(rng, lambda f: np.where(f < 40, 10.0, np.where(f < 120, 1.0, 0.0)))).spectrum
+    assert found.tail is None
+    assert found.density(np.array([130.0, 300.0])) == pytest.approx([0, 0])
+
+
+def test_density_and_load_of_a_tail(rng):
+    periodogram = Periodogram.of(rng.normal(0, 3, 6000), T128, interval=1 / RATE)
+    tail = Spectrum(np.array([30.0, 100.0, 800.0]), np.array([5.0, 2.0, 0.5]), tail=4.0)
+    assert tail.density(np.array([20.0, 90.0, 100.1, 200.0, 900.0])) == pytest.approx(
+        [5, 2, 0.5 * 1.001**-4, 0.5 / 16, 0.5 / 9**4]
+    )
+    assert tail.parameters == 6
+    assert str(tail) == "spectrum of 2 segment(s), falling from 100 Hz as the power 4 of frequency"
+    level = replace(tail, tail=None)
+    far = periodogram.frequency > 200  # the window sees nothing there of what is below the edge
+    fall = (periodogram.frequency[far] / 100) ** -4
+    assert periodogram.load(tail)[far] == pytest.approx(periodogram.load(level)[far] * fall, rel=1e-9)
 
 
 def test_nothing_is_found_in_noise(rng):

@@ -304,7 +304,8 @@ def refine_edges(reading: Observation, learned: SpectralPrior, *, columns: Array
     spectrum = learned.spectrum
     ordinate = 1 / (reading.values.size * reading.interval)
     # the shaping filter makes the edges of a longer record wider than that
-    narrow = [place for place in range(spectrum.edges.size - 1) if 2 * ordinate > EDGE * spectrum.edges[place]]
+    sharp = spectrum.edges[: -1 if spectrum.tail is None else -2]
+    narrow = [place for place, edge in enumerate(sharp) if 2 * ordinate > EDGE * edge]
     if spectrum.roll_off or not narrow:
         return learned
     here = log_likelihood(reading, _filter(reading, learned), columns=columns)

@@ -74,21 +74,23 @@ class Spectrum:
     edges
         Upper edges of the segments [Hz], shape (s,), rising; from the last on the density is zero.
     levels
-        Density of each segment [N^2/Hz], shape (s,).
+        Density of each segment [N^2/Hz], shape (s,); where there is a tail the last is that at its lower edge.
     roll_off
         Corner frequency [Hz], exponent m and power q of levels[0] / (1 + (f / corner)^m)^q, or None.
+    tail
+        Power of frequency as which the density falls from the lower edge of the last segment on, without an end;
+        None where that segment is constant. There are two segments at least.
     """
 
     edges: Array
     levels: Array
     roll_off: tuple[float, float, float] | None = None
+    tail: float | None = None
 
     @property
     def parameters(self) -> int:
-        """Numbers that describe it and are free."""
-        if self.roll_off:
-            return 3
-        return int(2 * np.count_nonzero(self.levels))
+        """Numbers that describe it and are free: a tail has its power in place of an edge."""
+        return 3 if self.roll_off else int(2 * np.count_nonzero(self.levels))
 
     def __str__(self) -> str:
         """What it is, for a reader."""
@@ -98,6 +100,9 @@ class Spectrum:
         filled = np.flatnonzero(self.levels)
         if not filled.size:
             return "no fluctuating force"
+        if self.tail is not None:
+            start = f"{self.edges[-2]:.4g} Hz as the power {self.tail:.3g} of frequency"
+            return f"spectrum of {filled.size - 1} segment(s), falling from {start}"
         return f"spectrum of {filled.size} segment(s) up to {self.edges[filled[-1]]:.4g} Hz"
 
     def density(self, frequency: Array) -> Array:
@@ -108,7 +113,15 @@ class Spectrum:
             fall = np.logaddexp(0.0, exponent * np.log(np.maximum(frequency, 1e-12 * corner) / corner))
             return np.asarray(self.levels[0] * np.exp(-np.minimum(power * fall, 600.0)))
         place = np.searchsorted(self.edges, frequency, side="left")
-        return np.append(self.levels, 0.0)[place]
+        if self.tail is None:
+            return np.append(self.levels, 0.0)[place]
+        return np.asarray(self.levels[np.minimum(place, self.levels.size - 1)] * self.fallen(frequency))
+
+    def fallen(self, frequency: Array) -> Array:
+        """Density at frequencies [Hz] over that at the lower edge of the last segment's tail, 1 below it [1]."""
+        if self.tail is None:
+            return np.ones(np.shape(frequency))
+        return np.asarray(np.maximum(frequency / self.edges[-2], 1.0) ** -self.tail)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -235,7 +248,11 @@ class Periodogram:
             beyond = self.gain_above(float(edge))
             felt += level * np.maximum(here - beyond, 0.0)  # rounding must not make a density negative
             here = beyond
-        return felt + spectrum.levels[-1] * here if spectrum.levels.size else felt
+        if not spectrum.levels.size:
+            return felt
+        last = here if spectrum.tail is None else here * spectrum.fallen(self.frequency)
+        felt += spectrum.levels[-1] * last
+        return felt
 
     def gain_above(self, edge: float) -> Array:
         """Mean in each average of the gain times the share of the window that lies above an edge [Hz], shape (m,)."""

@@ -43,6 +43,22 @@ LEAK: Final = 40
 FAR: Final = 128
 """The same for a force 1e11 times as strong as the noise, as it is in a record without any."""
 
+TAILS: Final = 4
+"""Last segments from whose lower edges on a tail is tried."""
+
+TAIL_POWERS: Final = (4.0, 5.0, 6.0, 8.0)
+"""Powers of frequency as which a tail may fall: 4 after kinks, more near the band that it ends; 2 is that of steps,
+which are looked for one by one and would be hidden by it."""
+
+TAIL_BESIDE: Final = 10
+"""Ordinates from which on a segment is no line."""
+
+TAIL_STEPS: Final = 8
+"""Steps of Fisher scoring of its level at most."""
+
+TAIL_ENOUGH: Final = 0.01
+"""Relative change of the level at which they end: a twentieth of its standard uncertainty or less."""
+
 AT_ONCE: Final = 64
 """Averages whose costs are worked out at once."""
 
@@ -185,6 +201,63 @@ def _highest(periodogram: Periodogram, levels: Array, cost: Array) -> float:
     order = np.argsort(-below)
     share = np.cumsum(weight[order]) / np.sum(weight)
     return float(below[order][np.searchsorted(share, LINES)])
+
+
+def with_tail(spectrum: Spectrum, periodogram: Periodogram, noise: float) -> Spectrum:
+    """The spectrum, its last segments one that falls as a power of frequency where that has more evidence.
+
+    So falls a force with kinks, far beyond the frequency from which on noise hides it. A constant level there is the
+    one of the frequencies at which it is seen, and at those above many times that of the force.
+
+    Parameters
+    ----------
+    spectrum
+        The segments.
+    periodogram
+        Of the reading.
+    noise
+        Density of its noise [N^2/Hz].
+    """
+    price = 0.5 * float(np.log(np.sum(periodogram.weight)))
+    width = np.diff(spectrum.edges, prepend=0.0)
+    best = spectrum
+    most = periodogram.log_likelihood(periodogram.load(spectrum), noise) - price * spectrum.parameters
+    if spectrum.levels.size and not spectrum.levels[-1]:
+        most += WORTH  # a tail is a force where none is seen
+    for last in np.flatnonzero(spectrum.levels)[-TAILS:]:
+        # it falls from what is there, unless that is a line: what a transient leaves beside one is no force
+        if last == 0 or not spectrum.levels[last - 1] or width[last - 1] < TAIL_BESIDE * periodogram.step:
+            continue
+        found, likelihood = _fallen(spectrum, int(last), periodogram, noise)
+        here = likelihood - price * found.parameters
+        if here > most:
+            best, most = found, here
+    return best
+
+
+def _fallen(spectrum: Spectrum, last: int, periodogram: Periodogram, noise: float) -> tuple[Spectrum, float]:
+    """The spectrum with the likeliest tail from a segment on, no higher than what is before it; its log-likelihood."""
+    edges, below = np.append(spectrum.edges[:last], 0.5 / periodogram.interval), spectrum.levels[:last]
+    without = periodogram.load(Spectrum(edges, np.append(below, 0.0)))
+    flat = periodogram.load(Spectrum(edges, np.append(below, 1.0))) - without
+    fixed, density, weight = without + periodogram.background(noise), periodogram.density, periodogram.weight
+    # all powers at once, shape (p, m)
+    powers = np.array(TAIL_POWERS)
+    shape = flat * np.exp(-np.outer(powers, np.log(np.maximum(periodogram.frequency / edges[-2], 1.0))))
+    level = np.full(powers.size, min(float(spectrum.levels[last]), float(below[-1])))
+    for _ in range(TAIL_STEPS):
+        inverse = 1 / (shape * level[:, None] + fixed)
+        shown = shape * inverse
+        step = (shown * (density * inverse - 1)) @ weight / (shown**2 @ weight)
+        moved = np.clip(np.clip(level + step, level / 4, 4 * level), 0.0, below[-1])
+        if np.max(np.abs(moved / level - 1)) < TAIL_ENOUGH:
+            break
+        level = moved
+    model = shape * level[:, None] + fixed
+    likelihood = -(np.log(model) + density / model) @ weight
+    chosen = int(np.argmax(likelihood))
+    found = Spectrum(edges, np.append(below, level[chosen]), tail=float(powers[chosen]))
+    return found, float(likelihood[chosen])
 
 
 def pruned(spectrum: Spectrum, likelihood: Callable[[Spectrum], float], *, worth: float) -> Spectrum:

@@ -17,7 +17,7 @@ import numpy as np
 
 from aerobalance.estimation.spectra.parametric_psd import fit_roll_offs, refit_roll_off
 from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum
-from aerobalance.estimation.spectra.piecewise_psd import fit_segments, pruned
+from aerobalance.estimation.spectra.piecewise_psd import fit_segments, pruned, with_tail
 from aerobalance.recording.channel import Array
 
 TURNS: Final = 4
@@ -151,6 +151,7 @@ def _segmented(periodogram: Periodogram, noise: float, *, floor: float | None, r
         lambda other: _with_noise(other, periodogram, here.noise_density, floor=floor).log_likelihood,
         worth=SEGMENT_EVIDENCE,
     )
+    spectrum = with_tail(spectrum, periodogram, here.noise_density)
     return _with_noise(spectrum, periodogram, here.noise_density, floor=floor)
 
 
