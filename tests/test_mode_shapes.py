@@ -21,6 +21,7 @@ from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.simulation.six_balance import random_balance
 from faults.scene import band, shaped, soft, together
 from faults.six import HALF_RANGE, SIX, SixScene, balance, drawn, moved, recording_of
+from helpers import coupled_pair
 from helpers.shaken_six import shaken
 from seeds import trials
 
@@ -143,6 +144,32 @@ def test_modes_that_have_moved_a_little_are_counted_at_least(maker, rng) -> None
         assert error.max() > 0.003
         scores.append(float(np.sqrt(np.mean(z**2))))
     assert np.mean(np.array(scores) > 3) < 0.3
+
+
+@pytest.mark.parametrize("factor", [1.03, 1.0])
+def test_modes_that_move_on_the_way_are_told_at_the_end(factor: float, rng) -> None:
+    """Two components that become stiffer after half of 16 s, of which the first and the last 8.2 s are looked at."""
+    count, fine = 64_000, 4
+    rate = coupled_pair.RATE * fine
+    own = coupled_pair.pair()
+    other = Moved.none(own).by(slice(None), np.array([np.log(factor), 0.0])).moved
+    force = 0.03 * coupled_pair.SIZE * coupled_pair.band(rng, 250, count=count * fine, rate=rate, columns=2)
+    before, after = (one.balance_load(force, interval=1 / rate)[::fine] for one in (own, other))
+    share = np.clip((np.arange(count) - count // 2) / 640 + 0.5, 0, 1)[:, None]  # over 0.16 s, so that nothing jumps
+    loads = (1 - share) * before + share * after + coupled_pair.NOISE * rng.normal(size=before.shape)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)  # each doubt is told as one
+        found = estimate_force(coupled_pair.recording_of(loads), own)
+    if factor == 1:
+        assert found.verdict == "fit for use"
+        return
+    (doubt,) = [one for one in found.doubts if one.kind == "natural frequency"]
+    assert "at the end of the record, not up to 7.808 s" in doubt.text  # 64,000 less 32,768 samples
+    late, early = slice(36_000, None), slice(0, 28_000)
+    for place, part in enumerate(found.values()):
+        error = part.values - force[::fine, place]
+        assert 0.5 < np.std(error[late]) / np.sqrt(np.mean(part.uncertainty[late] ** 2)) < 2
+        assert np.mean(part.uncertainty[early] ** 2) < 0.1 * np.mean(part.uncertainty[late] ** 2)
 
 
 def test_a_narrow_band_of_the_load_brings_no_gain_apart() -> None:

@@ -49,6 +49,9 @@ class ChangingSettings:
         Decay times of a free oscillation after which nothing is left of it, and damping ratio that it has at least.
     left
         Part of a stretch that must be left between its steps.
+    least_gain
+        Gain in log-likelihood of other dynamics in a stretch from which on the record leaves them open: chance brings
+        it to one of a thousand, and there are up to six.
     """
 
     most: int = 4
@@ -62,6 +65,7 @@ class ChangingSettings:
     decayed: float = 5.0
     least_damping: float = 1e-3
     left: float = 0.5
+    least_gain: float = 10.0
 
 
 SETTINGS: Final = ChangingSettings()
@@ -138,7 +142,7 @@ def changes_along(
             learned=learned,
             color_found=color_found,
         )
-        if spoken is not None and spoken.kind != "no resonance":
+        if spoken is not None and spoken.kind != "no resonance" and spoken.gain >= SETTINGS.least_gain:
             found.append(Changed(spoken, *ends, int(edges[1])))
     clear = [one for one in found if one.spoken.probability == 1]
     if not found:

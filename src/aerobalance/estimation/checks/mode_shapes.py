@@ -20,7 +20,7 @@ from scipy.special import expit
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.estimation.checks.model_error import LEFT_OPEN, as_noise
-from aerobalance.estimation.checks.ringing import RingingSpectra, Rows, powers_of
+from aerobalance.estimation.checks.ringing import RingingSpectra, Rows, most_samples, powers_of
 from aerobalance.estimation.checks.steady_tones import without_tones
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.result import ComponentForce, with_errors
@@ -332,14 +332,15 @@ def shape_doubts(
     dynamics, interval = record.dynamics, record.interval
     loads = record.without_ground(filled, on_clock_of=0)
     names = dynamics.components
-    other = _spoken(record, loads, parts)
-    if other is not None:  # a tone is narrower than any resonance, and looks like one that is elsewhere
-        above = SETTINGS.tones_above * dynamics.modes[0].natural_frequency * interval
-        other = _spoken(record, without_tones(loads, above=above), parts)
+    count, most = len(loads), most_samples(record)
+    other, first = _spoken(record, loads, parts), 0
+    if other is None and count > most:  # the balance may have changed on the way
+        other, first = _spoken(record, loads[-most:], parts), min(most, count - most)
     if other is None:
         return {}
     bandwidth = np.array([parts[name].bandwidth for name in names])
     errors = np.sqrt(other.probability) * force_errors(record, loads, other.rows, bandwidth)
+    errors[:first] = 0.0
     name_of_error = f"{DOUBTED}{other.kind}" if other.probability == 1 else LEFT_OPEN
     size = np.sqrt(np.mean(errors**2, axis=0))
     relative = size / np.array([max(float(np.sqrt(np.mean(parts[name].values ** 2))), 1e-300) for name in names])
@@ -351,15 +352,24 @@ def shape_doubts(
         error = as_noise(errors[:, place], name=name_of_error, period=period, interval=interval)
         part = with_errors(part, error)
         if place in told and other.probability == 1:
-            doubt = Doubt(other.kind, name, *_words(other, dynamics), float(size[place]), si_unit(name))
+            text, advice = _words(other, dynamics)
+            since = f" (at the end of the record, not up to {record.recording.start + first * interval:.4g} s)"
+            text = f"{text}{since if first else ''}"
+            doubt = Doubt(other.kind, name, text, advice, float(size[place]), si_unit(name))
             part = replace(part, doubts=(*part.doubts, doubt))
         found[name] = part
     return found
 
 
 def _spoken(record: CoupledRecord, loads: Array, parts: Mapping[str, ComponentForce]) -> OtherShapes | None:
-    """What the ringing of loads speaks for, where they are enough to say so."""
+    """What the ringing of the first loads speaks for, where they are enough to say so."""
     ringing = RingingSpectra.of(record, loads, parts)
+    other = None if ringing is None else other_shapes(ringing, record.dynamics)
+    if other is None:
+        return None
+    # a tone is narrower than any resonance, and looks like one that is elsewhere
+    above = SETTINGS.tones_above * record.dynamics.modes[0].natural_frequency * record.interval
+    ringing = RingingSpectra.of(record, without_tones(loads, above=above), parts)
     return None if ringing is None else other_shapes(ringing, record.dynamics)
 
 

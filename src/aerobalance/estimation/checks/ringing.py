@@ -104,6 +104,11 @@ class Rows:
         return Rows(self.forces[np.ix_(back, back)])
 
 
+def most_samples(record: CoupledRecord) -> int:
+    """Return how many samples of a record are looked at at most: as long a time on any clock."""
+    return SETTINGS.samples // record.recording.decimated
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RingingSpectra:
     """Spectra of all that rows of polynomials can make of a record.
@@ -152,7 +157,7 @@ class RingingSpectra:
         parts
             The forces that were worked out.
         """
-        most = SETTINGS.samples // record.recording.decimated  # as long a time on any clock
+        most = most_samples(record)
         loads = loads[:most] - loads[:most].mean(axis=0)
         count, interval = loads.shape[0], record.interval
         step = 1 / (count * interval)
