@@ -113,12 +113,8 @@ def changes_along(
         Steps that were found in the readings: of a stretch what lies longest between two is looked at, once the
         ringing of the first has decayed.
     """
-    duration = values.size * interval
-    count = min(
-        SETTINGS.most, int(duration * dynamics.natural_frequency / SETTINGS.periods), values.size // SETTINGS.samples
-    )
-    count -= count % 2
-    if count < 2:
+    count = stretches_of(values.size, interval, dynamics)
+    if not count:
         return None
     edges = np.linspace(0, values.size, count + 1).astype(int)
     calm = partial(_between, steps=steps, interval=interval, decay=SETTINGS.decayed / _decay_rate(dynamics))
@@ -150,6 +146,13 @@ def changes_along(
     clearest = max(clear or found, key=lambda one: one.spoken.gain)
     same = [one for one in clear or [clearest] if one.spoken.kind == clearest.spoken.kind]
     return clearest._replace(first=min(one.first for one in same), last=max(one.last for one in same))
+
+
+def stretches_of(samples: int, interval: float, dynamics: Dynamics) -> int:
+    """Return in how many stretches a record of so many samples is looked at; 0 where it is too short for two."""
+    periods = samples * interval * dynamics.natural_frequency
+    count = min(SETTINGS.most, int(periods / SETTINGS.periods), samples // SETTINGS.samples)
+    return count - count % 2
 
 
 def _decay_rate(dynamics: Dynamics) -> float:

@@ -15,7 +15,7 @@ import numpy as np
 
 from aerobalance.dynamics.modal import ModalModel, Mode
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.checks.changing_resonance import changes_along
+from aerobalance.estimation.checks.changing_resonance import changes_along, stretches_of
 from aerobalance.estimation.checks.evidence import Evidence
 from aerobalance.estimation.checks.local_modes import Averaged, missing_mode, own_resonance
 from aerobalance.estimation.checks.peaks import Peak
@@ -292,6 +292,9 @@ def _changed_along(
 
     `whole` is what the whole speaks for; the other arguments are as of `other_dynamics_in`.
     """
+    stretch = longest_stretch(record)
+    if not stretches_of(stretch.stop - stretch.start, record.interval, record.dynamics):
+        return None
     seen = unbroken(record, steps, hum, longest=record.load.size)
     if seen is None:
         return None
@@ -307,7 +310,7 @@ def _changed_along(
     )
     if found is None or (whole is not None and found.spoken.gain < whole.gain):
         return None
-    first = longest_stretch(record).start
+    first = stretch.start
     # it may have changed anywhere in the stretches beside these
     within = slice(max(first + found.first - found.each, 0), first + found.last + found.each)
     if found.spoken.probability < 1:
