@@ -67,6 +67,8 @@ class Case:
     own
         The balance's own dynamics, where the fault is that the force is worked out with others: the readings decide
         then whether they can show it.
+    since
+        Share of the record after which it shows the balance's own dynamics.
     color
         Density of the noise that is there beside the white, two-sided, its mean about frequencies [Hz] over a width
         [Hz], [N^2/Hz]: the readings decide then whether they can show it.
@@ -86,6 +88,7 @@ class Case:
     settings: dict[str, Any] = field(default_factory=dict)
     shown: bool = True
     own: Dynamics | None = None
+    since: float = 0.0
     color: Color | None = None
     right: Scene | None = None
     calm: Scene | None = None
@@ -146,6 +149,7 @@ def wrong() -> list[Case]:
     """Return the cases that are wrong in something."""
     makers = (
         wrong_dynamics,
+        on_the_way,
         missing_modes,
         bent_springs,
         ground_channels,
@@ -310,6 +314,34 @@ def wrong_dynamics() -> Iterator[Case]:
             dynamics=dynamics(frequency=f),
             own=dynamics(),
         )
+
+
+def on_the_way() -> Iterator[Case]:
+    """Return balances whose natural frequency is another after half of 20 s."""
+    clock = Clock(samples=32_000)
+    loads = {name: force for name, force in LOADS.items() if name != "slow"}  # that tells no natural frequency
+    for name, force in loads.items():
+        for share in (0.01, -0.01, 0.03, -0.03):
+            yield Case(
+                f"f0 {100 * share:+g} % after half, {name}, 20 s",
+                "dynamics",
+                Scene(force, clock),
+                ("natural frequency",),
+                change=partial(changed_on_the_way, factor=1 + share),
+                own=dynamics(frequency=(1 + share) * FREQUENCY),
+                since=0.55,
+            )
+
+
+def changed_on_the_way(record: Record, rng: np.random.Generator, *, factor: float) -> Record:
+    """Return what a balance reads whose natural frequency becomes so many times as high about the middle, in 0.3 s."""
+    count, force = record.force.size, record.force
+    frequency = np.fft.rfftfreq(2 * count, 1 / record.rate)
+    before, after = (Modes(((one * FREQUENCY, RATIO, 1.0),)).response(frequency) for one in (1.0, factor))
+    lines = np.fft.rfft(np.concatenate([force, force[::-1]]))  # mirrored, so that the ends meet
+    change = np.fft.irfft(lines * (after - before), 2 * count)[:count]
+    share = np.clip((np.arange(count) - count / 2) / (0.3 * record.rate) + 0.5, 0, 1)
+    return replace(record, columns={**record.columns, "AF": record.columns["AF"] + share * change})
 
 
 def missing_modes() -> Iterator[Case]:

@@ -110,6 +110,7 @@ def can_show(case: Case, record: Record, seed: int, found: Force | None) -> bool
     (component,) = known.components
     load, interval = record.columns[component], 1 / record.rate
     if case.own is not None:
+        load = load[int(case.since * load.size) :]
         evidence = Evidence(load - load.mean(), interval, LEAST_NOISE**2 * interval, among=(case.own, known))
         return evidence.of(case.own) - evidence.of(known) > SHOWN
     columns = columns_of(list(steps), Observation(load, interval, known))
