@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import expm
 
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.checks.changing_resonance import SETTINGS, _between, changes_along
+from aerobalance.estimation.checks.changing_resonance import SETTINGS, calm_stretch, changes_along
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.errors import DataQualityWarning
@@ -104,9 +104,11 @@ def test_a_short_record_is_one_stretch(rng) -> None:
 def test_what_lies_between_steps_begins_where_their_ringing_has_decayed() -> None:
     """By hand: steps at 2 s and, over half a second, at 5 s; a second of ringing; samples of 0.1 s."""
     steps = [Step(2.0, 0.0), Step(5.0, 0.5)]
+    # b / (2 m) is 5 1/s, so five decay times are a second
+    slow = Dynamics("AF", 1.0, (4 * np.pi) ** 2, 2 * 5.0)
 
     def between(first: int, last: int) -> tuple[int, int]:
-        found = _between(first, last, steps=steps, interval=0.1, decay=1.0)
+        found = calm_stretch(first, last, steps=steps, interval=0.1, dynamics=slow)
         return found.start, found.stop
 
     assert between(0, 15) == (0, 15)

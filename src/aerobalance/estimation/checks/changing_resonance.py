@@ -16,6 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.special import fdtrc
 
+from aerobalance.dynamics.modal import ModalModel
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.near_resonance import near_resonance
 from aerobalance.estimation.checks.resonance import Spoken, spoken_for
@@ -117,7 +118,7 @@ def changes_along(
     if not count:
         return None
     edges = np.linspace(0, values.size, count + 1).astype(int)
-    calm = partial(_between, steps=steps, interval=interval, decay=SETTINGS.decayed / _decay_rate(dynamics))
+    calm = partial(calm_stretch, steps=steps, interval=interval, dynamics=dynamics)
     parts = [part - part.mean() for part in (values[calm(*ends)] for ends in pairwise(edges.tolist())) if part.size]
     least = int(np.diff(edges).min() * SETTINGS.left)
     parts = [part for part in parts if part.size >= least]
@@ -155,13 +156,26 @@ def stretches_of(samples: int, interval: float, dynamics: Dynamics) -> int:
     return count - count % 2
 
 
-def _decay_rate(dynamics: Dynamics) -> float:
+def _decay_rate(dynamics: ModalModel) -> float:
     """Rate at which free oscillations decay [1/s]."""
     return 2 * np.pi * dynamics.natural_frequency * max(dynamics.damping_ratio, SETTINGS.least_damping)
 
 
-def _between(first: int, last: int, *, steps: Sequence[Step], interval: float, decay: float) -> slice:
-    """The longest stretch without a step, from a sample to another, that begins where the one before has decayed."""
+def calm_stretch(first: int, last: int, *, steps: Sequence[Step], interval: float, dynamics: ModalModel) -> slice:
+    """Return the longest stretch without a step, between two samples, that begins where the one before has decayed.
+
+    Parameters
+    ----------
+    first, last
+        The samples, the second excluded.
+    steps
+        The steps.
+    interval
+        Time between samples [s].
+    dynamics
+        What decays.
+    """
+    decay = SETTINGS.decayed / _decay_rate(dynamics)
     inside = sorted((step.instant, step.instant + step.duration + decay) for step in steps)
     begins = [first, *(max(int(end / interval), first) for _, end in inside if end > first * interval)]
     free = [

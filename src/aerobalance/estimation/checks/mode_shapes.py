@@ -19,10 +19,16 @@ from scipy.optimize import minimize
 from scipy.special import expit
 
 from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.estimation.checks.changing_resonance import calm_stretch
 from aerobalance.estimation.checks.model_error import LEFT_OPEN, as_noise
+from aerobalance.estimation.checks.near_resonance import near_resonance
+from aerobalance.estimation.checks.resonance import SETTINGS as RESONANCE
+from aerobalance.estimation.checks.resonance import evidence_in
 from aerobalance.estimation.checks.ringing import RingingSpectra, Rows, most_samples, powers_of
 from aerobalance.estimation.checks.steady_tones import without_tones
 from aerobalance.estimation.coupled_record import CoupledRecord
+from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.record import FEWEST_SAMPLES
 from aerobalance.estimation.result import ComponentForce, with_errors
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
@@ -333,9 +339,11 @@ def shape_doubts(
     loads = record.without_ground(filled, on_clock_of=0)
     names = dynamics.components
     count, most = len(loads), most_samples(record)
-    other, first = _spoken(record, loads, parts), 0
+    readings = {name: one.reading() for name, one in record.component_records(filled).items()}
+    other, first = _spoken(record, loads, parts, readings, first=0), 0
     if other is None and count > most:  # the balance may have changed on the way
-        other, first = _spoken(record, loads[-most:], parts), min(most, count - most)
+        other = _spoken(record, loads, parts, readings, first=count - most)
+        first = min(most, count - most)
     if other is None:
         return {}
     bandwidth = np.array([parts[name].bandwidth for name in names])
@@ -361,16 +369,78 @@ def shape_doubts(
     return found
 
 
-def _spoken(record: CoupledRecord, loads: Array, parts: Mapping[str, ComponentForce]) -> OtherShapes | None:
-    """What the ringing of the first loads speaks for, where they are enough to say so."""
-    ringing = RingingSpectra.of(record, loads, parts)
-    other = None if ringing is None else other_shapes(ringing, record.dynamics)
-    if other is None:
+def _spoken(
+    record: CoupledRecord,
+    loads: Array,
+    parts: Mapping[str, ComponentForce],
+    readings: Mapping[str, Observation],
+    *,
+    first: int,
+) -> OtherShapes | None:
+    """What the ringing of the loads from a sample on speaks for, where they are enough to say so.
+
+    `readings` are those of the decoupled components.
+    """
+    ringing = RingingSpectra.of(record, loads[first:], parts)
+    if ringing is None:
         return None
+    other = other_shapes(ringing, record.dynamics)
+    if other is None:
+        return _one_moved(ringing, record, parts, readings, first=first)
     # a tone is narrower than any resonance, and looks like one that is elsewhere
     above = SETTINGS.tones_above * record.dynamics.modes[0].natural_frequency * record.interval
-    ringing = RingingSpectra.of(record, without_tones(loads, above=above), parts)
+    ringing = RingingSpectra.of(record, without_tones(loads[first:], above=above), parts)
     return None if ringing is None else other_shapes(ringing, record.dynamics)
+
+
+def _one_moved(
+    ringing: RingingSpectra,
+    record: CoupledRecord,
+    parts: Mapping[str, ComponentForce],
+    readings: Mapping[str, Observation],
+    *,
+    first: int,
+) -> OtherShapes | None:
+    """The one mode that has moved, by the reading of the component that shows it most; None where none does.
+
+    Where a load excites one mode alone, all that speaks for its move is in a few bands, where a narrow band of the
+    load would be too. Its reading tells them apart: no load makes a hole where the resonance was expected.
+    It is believed from the same gain on as of a single component, or left open (`spoken_for`).
+    """
+    dynamics = record.dynamics
+    if dynamics.internal or len(dynamics.modes) != len(dynamics.components):
+        return None
+    last, interval = min(first + most_samples(record), record.recording.samples), record.interval
+    found: list[tuple[float, int, Array]] = []
+    for name, reading in readings.items():
+        known, learned = reading.dynamics, parts[name].learned
+        if not reading.present.all():
+            continue
+        calm = calm_stretch(first, last, steps=parts[name].steps, interval=interval, dynamics=known)
+        if calm.stop - calm.start < FEWEST_SAMPLES:
+            continue
+        values = without_tones(reading.values[calm, None])[:, 0]
+        near = near_resonance(values - values.mean(), interval, known)
+        if near is None:
+            continue
+        evidence = evidence_in(values, interval=interval, least_noise=reading.least_noise, learned=learned)
+        evidence = replace(evidence, among=(known, near))
+        gain = evidence.of(near) - evidence.of(known) - float(np.log(len(readings)))  # chance has as many tries
+        if gain > RESONANCE.open_from:
+            factors = [near.natural_frequency / known.natural_frequency, near.damping_ratio / known.damping_ratio]
+            apart = [abs(np.log(mode.natural_frequency / known.natural_frequency)) for mode in dynamics.modes]
+            found.append((gain, int(np.argmin(apart)), np.log(factors)))
+    if not found:
+        return None
+    gain, place, change = max(found, key=lambda one: one[0])
+    own = Moved.none(dynamics)
+    moved = _closer(ringing, own, place, own.by(place, change))
+    if not moved.ringing[place]:
+        return None
+    likely = float(expit(RESONANCE.open_steepness * (gain - RESONANCE.open_half)))
+    return OtherShapes(
+        "natural frequency", (), moved.rows, gain, moved, 1.0 if gain >= RESONANCE.decisive_near else likely
+    )
 
 
 def _words(other: OtherShapes, dynamics: CoupledDynamics) -> tuple[str, str]:

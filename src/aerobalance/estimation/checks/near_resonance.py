@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 
-from aerobalance.dynamics.single import Dynamics
+from aerobalance.dynamics.modal import ModalModel
 from aerobalance.recording.channel import Array
 from aerobalance.recording.fourier import hann
 
@@ -53,11 +53,13 @@ class NearSettings:
     bins: int = 4
 
 
+Known = TypeVar("Known", bound=ModalModel)
+
 SETTINGS: Final = NearSettings()
 """Settings that are used."""
 
 
-def near_resonance(values: Array, interval: float, dynamics: Dynamics) -> Dynamics | None:
+def near_resonance(values: Array, interval: float, dynamics: Known) -> Known | None:
     """Return the dynamics near some whose resonance the spectrum of a reading shows; None where it is too short.
 
     The density of the force is taken as a power of frequency about the resonance. That costs a thousandth of the

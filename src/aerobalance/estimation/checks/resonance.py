@@ -187,11 +187,7 @@ def spoken_for(
         expected one (`change_by_steps`). And a load of many steps has a spectrum of many lines, each of which may look
         like a resonance.
     """
-    values = values[: EVIDENCE.samples]
-    evidence = Evidence(values - values.mean(), interval, least_noise**2 * interval)
-    if learned is not None:
-        white = None if learned.color is None else learned.noise**2 * interval
-        evidence = replace(evidence, white=white, color=learned.color, rising=learned.rising, even=learned.even)
+    evidence = evidence_in(values, interval=interval, least_noise=least_noise, learned=learned)
     none = dynamics.retuned(frequency=SETTINGS.beyond, damping=1.0)
     near = None if steps else near_resonance(evidence.values, interval, dynamics)
     peaks = evidence.peaks(dynamics)
@@ -229,6 +225,16 @@ def spoken_for(
     if near is not None and (clear is None or clear.probability < 1):
         clear = _beside(evidence, dynamics, near, own=own, confirmed=confirmed, beside_steps=beside_steps) or clear
     return clear
+
+
+def evidence_in(values: Array, *, interval: float, least_noise: float, learned: SpectralPrior | None) -> Evidence:
+    """Return the evidence of dynamics in the first readings; arguments as of `spoken_for`."""
+    values = values[: EVIDENCE.samples]
+    evidence = Evidence(values - values.mean(), interval, least_noise**2 * interval)
+    if learned is None:
+        return evidence
+    white = None if learned.color is None else learned.noise**2 * interval
+    return replace(evidence, white=white, color=learned.color, rising=learned.rising, even=learned.even)
 
 
 def _clearest(
