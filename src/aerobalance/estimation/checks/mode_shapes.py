@@ -414,7 +414,9 @@ def _one_moved(
     found: list[tuple[float, int, Array]] = []
     for name, reading in readings.items():
         known, learned = reading.dynamics, parts[name].learned
-        if not reading.present.all():
+        # what a ground channel leaves in the readings swings as well
+        left = any(doubt.kind.startswith(("ground", "attitude")) for doubt in parts[name].doubts)
+        if left or not reading.present.all():
             continue
         calm = calm_stretch(first, last, steps=parts[name].steps, interval=interval, dynamics=known)
         if calm.stop - calm.start < FEWEST_SAMPLES:
