@@ -362,6 +362,7 @@ def periodogram_of(reading: Observation, values: Array, *, share: float) -> Peri
         input_density=reading.input_density,
         color=None if color is None else lambda f, width: share * color.density(f, width=width),
         density=density_of(values, reading.interval, even=True) if reading.even else None,
+        even=reading.even,
     )
 
 

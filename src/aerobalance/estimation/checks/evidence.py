@@ -132,6 +132,7 @@ class Evidence:
             color=None if color is None else lambda f, width: color.density(f, width=width),
             density=self._density,
             edges=self._edges,
+            even=self.even,
         )
 
     def peaks(self, dynamics: ModalModel) -> list[float]:

@@ -151,6 +151,8 @@ class Periodogram:
     color
         Density of the reading's noise beyond its white part at all ordinates, shape (n,) [N^2/Hz]; None if there is
         none.
+    even
+        Whether the ends of the readings are weighed as their middle: what stands there leaks.
     gains_above
         Results of `gain_above` so far.
     """
@@ -165,6 +167,7 @@ class Periodogram:
     edges: NDArray[np.int64]
     input_density: float
     color: Array | None = None
+    even: bool = False
     gains_above: dict[float, Array] = field(default_factory=dict)
 
     @property
@@ -193,6 +196,7 @@ class Periodogram:
         color: Callable[[Array, float], Array] | None = None,
         density: Array | None = None,
         edges: NDArray[np.int64] | None = None,
+        even: bool = False,
     ) -> Periodogram:
         """Take a Hann periodogram and average it as far as the balance's response allows.
 
@@ -212,6 +216,8 @@ class Periodogram:
             What `density_of` gives of these readings, where it is known.
         edges
             First ordinate of each average, shape (m,), by `averages_for`, where other dynamics are compared.
+        even
+            Whether `density` is of an even window.
         """
         length = min(values.size, LONGEST)
         grid = _Ordinates.of(dynamics, length, interval)
@@ -229,6 +235,7 @@ class Periodogram:
             edges=grid.edges,
             input_density=input_density,
             color=None if color is None else color(grid.frequency, HANN_WIDTH * grid.step),
+            even=even,
         )
 
     def background(self, noise: float) -> Array:

@@ -208,6 +208,8 @@ def with_tail(spectrum: Spectrum, periodogram: Periodogram, noise: float) -> Spe
 
     So falls a force with kinks, far beyond the frequency from which on noise hides it. A constant level there is the
     one of the frequencies at which it is seen, and at those above many times that of the force.
+    None is tried where the ends of a record are weighed as its middle: what leaks of a sweep that ends there falls
+    like a tail.
 
     Parameters
     ----------
@@ -218,6 +220,8 @@ def with_tail(spectrum: Spectrum, periodogram: Periodogram, noise: float) -> Spe
     noise
         Density of its noise [N^2/Hz].
     """
+    if periodogram.even:
+        return spectrum
     price = 0.5 * float(np.log(np.sum(periodogram.weight)))
     width = np.diff(spectrum.edges, prepend=0.0)
     best = spectrum
