@@ -69,6 +69,9 @@ class ModeShapeSettings:
         above its modes that no force makes 0.45 and more.
     narrow
         Factor of the damping ratio below which a mode is a tone of the load.
+    as_damped
+        Change of the logarithm of its damping ratio up to which one mode alone is believed to have moved: a narrow
+        band of the load, or the edge of one, is as a resonance with another damping.
     told, told_damping
         Changes of the logarithms of a natural frequency and a damping ratio from which they are told.
     """
@@ -87,6 +90,7 @@ class ModeShapeSettings:
     broad: float = 0.1
     against: float = 0.3
     narrow: float = 0.1
+    as_damped: float = 1.0
     told: float = 0.001
     told_damping: float = 0.3
 
@@ -428,16 +432,17 @@ def _one_moved(
         evidence = evidence_in(values, interval=interval, least_noise=reading.least_noise, learned=learned)
         evidence = replace(evidence, among=(known, near))
         gain = evidence.of(near) - evidence.of(known) - float(np.log(len(readings)))  # chance has as many tries
-        if gain > RESONANCE.open_from:
-            factors = [near.natural_frequency / known.natural_frequency, near.damping_ratio / known.damping_ratio]
+        change = np.log([near.natural_frequency / known.natural_frequency, near.damping_ratio / known.damping_ratio])
+        if gain > RESONANCE.open_from and abs(change[1]) < SETTINGS.as_damped:
             apart = [abs(np.log(mode.natural_frequency / known.natural_frequency)) for mode in dynamics.modes]
-            found.append((gain, int(np.argmin(apart)), np.log(factors)))
+            found.append((gain, int(np.argmin(apart)), change))
     if not found:
         return None
     gain, place, change = max(found, key=lambda one: one[0])
     own = Moved.none(dynamics)
     moved = _closer(ringing, own, place, own.by(place, change))
-    if not moved.ringing[place]:
+    gains = _evidence(ringing, moved) - _evidence(ringing, own)
+    if abs(moved.changes[place, 1]) > SETTINGS.as_damped or float(np.sum(gains)) < RESONANCE.open_from:
         return None
     likely = float(expit(RESONANCE.open_steepness * (gain - RESONANCE.open_half)))
     return OtherShapes(
