@@ -69,6 +69,12 @@ class ModeShapeSettings:
         above its modes that no force makes 0.45 and more.
     narrow
         Factor of the damping ratio below which a mode is a tone of the load.
+    end
+        Share of a whole record that may be left behind its last part: on a slower clock the last sample is some before
+        the record's.
+    as_expected
+        Changes of the logarithms of natural frequency, over the damping ratio, and of damping ratio below which the
+        resonance of a reading is the one that is expected: no finer than it is looked for.
     as_damped
         Change of the logarithm of its damping ratio up to which one mode alone is believed to have moved: a narrow
         band of the load, or the edge of one, is as a resonance with another damping.
@@ -90,6 +96,8 @@ class ModeShapeSettings:
     broad: float = 0.1
     against: float = 0.3
     narrow: float = 0.1
+    end: float = 1e-3
+    as_expected: tuple[float, float] = (0.4, 0.5)
     as_damped: float = 1.0
     told: float = 0.001
     told_damping: float = 0.3
@@ -345,7 +353,8 @@ def shape_doubts(
     count, most = len(loads), most_samples(record)
     readings = {name: one.reading() for name, one in record.component_records(filled).items()}
     other, first = _spoken(record, loads, parts, readings, first=0), 0
-    if other is None and count > most:  # the balance may have changed on the way
+    # the balance may have changed on the way; of a part before others the next one's beginning tells
+    if other is None and count > most and record.recording.extent.end > 1 - SETTINGS.end:
         other = _spoken(record, loads, parts, readings, first=count - most)
         first = min(most, count - most)
     if other is None:
@@ -428,6 +437,9 @@ def _one_moved(
         values = without_tones(reading.values[calm, None])[:, 0]
         near = near_resonance(values - values.mean(), interval, known)
         if near is None:
+            continue
+        change = np.log([near.natural_frequency / known.natural_frequency, near.damping_ratio / known.damping_ratio])
+        if abs(change[0]) < SETTINGS.as_expected[0] * known.damping_ratio and abs(change[1]) < SETTINGS.as_expected[1]:
             continue
         evidence = evidence_in(values, interval=interval, least_noise=reading.least_noise, learned=learned)
         evidence = replace(evidence, among=(known, near))
