@@ -7,9 +7,8 @@ for those that it has.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
 from itertools import pairwise
 from typing import Final, NamedTuple
 
@@ -19,8 +18,7 @@ from scipy.special import fdtrc
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.near_resonance import near_resonance
-from aerobalance.estimation.checks.resonance import Spoken, spoken_for
-from aerobalance.estimation.prior import SpectralPrior
+from aerobalance.estimation.checks.resonance import Spoken
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array
 from aerobalance.recording.fourier import hann
@@ -95,11 +93,9 @@ class Changed(NamedTuple):
 def changes_along(
     values: Array,
     dynamics: Dynamics,
+    ask: Callable[[Array], Spoken | None],
     *,
     interval: float,
-    least_noise: float,
-    learned: SpectralPrior | None = None,
-    color_found: bool = True,
     steps: Sequence[Step] = (),
 ) -> Changed | None:
     """Return the other dynamics that some of a record speaks for most clearly, and where; None where nothing does.
@@ -108,8 +104,12 @@ def changes_along(
     ----------
     values
         Readings without gaps, hum and other tones, shape (n,) [N].
-    dynamics, interval, least_noise, learned, color_found
-        As of `spoken_for`.
+    dynamics
+        The dynamics that they are read with.
+    ask
+        Gives what some of them speak for (`spoken_for`).
+    interval
+        Time between samples [s].
     steps
         Steps that were found in the readings: of a stretch what lies longest between two is looked at, once the
         ringing of the first has decayed.
@@ -118,32 +118,27 @@ def changes_along(
     if not count:
         return None
     edges = np.linspace(0, values.size, count + 1).astype(int)
-    calm = partial(calm_stretch, steps=steps, interval=interval, dynamics=dynamics)
-    parts = [part - part.mean() for part in (values[calm(*ends)] for ends in pairwise(edges.tolist())) if part.size]
     least = int(np.diff(edges).min() * SETTINGS.left)
-    parts = [part for part in parts if part.size >= least]
-    resonances = [near_resonance(part, interval, dynamics) for part in parts]
-    if not _differ(parts) and _agree([one for one in resonances if one is not None], dynamics):
+
+    def calm(ends: tuple[int, int]) -> Array | None:
+        part = values[calm_stretch(*ends, steps=steps, interval=interval, dynamics=dynamics)]
+        return part - part.mean() if part.size >= least else None
+
+    stretches = list(pairwise(edges.tolist()))
+    parts = [part for part in map(calm, stretches) if part is not None]
+    resonances = [one for part in parts if (one := near_resonance(part, interval, dynamics)) is not None]
+    if not _differ(parts) and _agree(resonances, dynamics):
         return None
-    found: list[Changed] = []
+    found = []
     # what is faint in each stretch may be clear in two
-    for ends in sorted({*pairwise(edges.tolist()), *pairwise(edges[:: count // 2].tolist())}):
-        part = values[calm(*ends)]
-        if part.size < least:
-            continue
-        spoken = spoken_for(
-            part,
-            dynamics,
-            interval=interval,
-            least_noise=least_noise,
-            learned=learned,
-            color_found=color_found,
-        )
+    for ends in sorted({*stretches, *pairwise(edges[:: count // 2].tolist())}):
+        part = calm(ends)
+        spoken = None if part is None else ask(part)
         if spoken is not None and spoken.kind != "no resonance" and spoken.gain >= SETTINGS.least_gain:
             found.append(Changed(spoken, *ends, int(edges[1])))
-    clear = [one for one in found if one.spoken.probability == 1]
     if not found:
         return None
+    clear = [one for one in found if one.spoken.probability == 1]
     clearest = max(clear or found, key=lambda one: one.spoken.gain)
     same = [one for one in clear or [clearest] if one.spoken.kind == clearest.spoken.kind]
     return clearest._replace(first=min(one.first for one in same), last=max(one.last for one in same))

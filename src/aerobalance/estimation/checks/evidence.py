@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.dynamics.modal import ModalModel, Mode
+from aerobalance.estimation.prior import SpectralPrior
 from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, ShapedNoise
 from aerobalance.estimation.spectra.periodogram import LONGEST, Periodogram, averages_for, density_of
 from aerobalance.estimation.spectra.whittle import SpectrumFit, fit_spectrum, refit_spectrum
@@ -158,6 +159,28 @@ class Evidence:
             found.append(float(frequency[own][np.argmax(_averaged(power, own))]))
             above[np.abs(middle / middle[place] - 1) < SETTINGS.surroundings] = 0.0
         return found
+
+
+def evidence_in(values: Array, *, interval: float, least_noise: float, learned: SpectralPrior | None) -> Evidence:
+    """Return the evidence of dynamics in the first of some readings, by what was learned of their noise.
+
+    Parameters
+    ----------
+    values
+        Readings without gaps, hum and other tones, shape (n,) [N].
+    interval
+        Time between samples [s].
+    least_noise
+        Least noise of a reading [N].
+    learned
+        What was learned of force and noise; None if nothing was.
+    """
+    values = values[: SETTINGS.samples]
+    evidence = Evidence(values - values.mean(), interval, least_noise**2 * interval)
+    if learned is None:
+        return evidence
+    white = None if learned.color is None else learned.noise**2 * interval
+    return replace(evidence, white=white, color=learned.color, rising=learned.rising, even=learned.even)
 
 
 def _averaged(power: Array, own: slice) -> Array:

@@ -20,10 +20,10 @@ from scipy.special import expit
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.estimation.checks.changing_resonance import calm_stretch
+from aerobalance.estimation.checks.evidence import evidence_in
 from aerobalance.estimation.checks.model_error import LEFT_OPEN, as_noise
 from aerobalance.estimation.checks.near_resonance import near_resonance
 from aerobalance.estimation.checks.resonance import SETTINGS as RESONANCE
-from aerobalance.estimation.checks.resonance import evidence_in
 from aerobalance.estimation.checks.ringing import RingingSpectra, Rows, most_samples, powers_of
 from aerobalance.estimation.checks.steady_tones import without_tones
 from aerobalance.estimation.coupled_record import CoupledRecord

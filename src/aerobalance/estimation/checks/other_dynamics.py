@@ -7,8 +7,9 @@ and in a long record so do the resonances of its spectrum.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -233,18 +234,17 @@ def other_dynamics_in(
     def beside_steps(other: Dynamics, some: Sequence[Step], *, first: int = 0) -> Array:
         return _without_tones(without_steps(replace(reading, dynamics=other, values=reading.values[first:]), some))
 
-    spoken = spoken_for(
-        _without_tones(reading.values),
-        dynamics,
+    ask = partial(
+        spoken_for,
+        dynamics=dynamics,
         interval=reading.interval,
         least_noise=max(reading.least_noise, SETTINGS.least_noise * noise),
         learned=learned,
         color_found=record.noise is None,
-        steps=within,
-        beside_steps=beside_steps,
     )
+    spoken = ask(_without_tones(reading.values), steps=within, beside_steps=beside_steps)
     if spoken is None or spoken.kind != "no resonance":
-        changed = _changed_along(record, noise=noise, steps=steps, hum=hum, learned=learned, whole=spoken)
+        changed = _changed_along(record, ask, steps=steps, hum=hum, whole=spoken)
         if changed is not None:
             return changed
     if spoken is not None and spoken.probability == 1:
@@ -281,16 +281,15 @@ def other_dynamics_in(
 
 def _changed_along(
     record: SingleRecord,
+    ask: Callable[[Array], Spoken | None],
     *,
-    noise: float,
     steps: Sequence[Step],
     hum: Sequence[Line],
-    learned: SpectralPrior | None,
     whole: Spoken | None,
 ) -> OtherDynamics | None:
     """Dynamics that a part of a record speaks for more clearly than the whole does; None where there is none.
 
-    `whole` is what the whole speaks for; the other arguments are as of `other_dynamics_in`.
+    `ask` gives what readings speak for, `whole` is what all of them do; `steps` and `hum` as of `other_dynamics_in`.
     """
     stretch = longest_stretch(record)
     if not stretches_of(stretch.stop - stretch.start, record.interval, record.dynamics):
@@ -299,15 +298,8 @@ def _changed_along(
     if seen is None:
         return None
     reading, inside = seen
-    found = changes_along(
-        _without_tones(reading.values),
-        record.dynamics,
-        interval=reading.interval,
-        least_noise=max(reading.least_noise, SETTINGS.least_noise * noise),
-        learned=learned,
-        color_found=record.noise is None,
-        steps=inside,
-    )
+    values = _without_tones(reading.values)
+    found = changes_along(values, record.dynamics, ask, interval=reading.interval, steps=inside)
     if found is None or (whole is not None and found.spoken.gain < whole.gain):
         return None
     first = stretch.start

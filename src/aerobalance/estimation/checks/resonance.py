@@ -20,7 +20,7 @@ from scipy.special import expit
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.evidence import SETTINGS as EVIDENCE
-from aerobalance.estimation.checks.evidence import Evidence, numbers_of
+from aerobalance.estimation.checks.evidence import Evidence, evidence_in, numbers_of
 from aerobalance.estimation.checks.near_resonance import near_resonance
 from aerobalance.estimation.prior import SpectralPrior
 from aerobalance.estimation.steps import Step
@@ -225,16 +225,6 @@ def spoken_for(
     if near is not None and (clear is None or clear.probability < 1):
         clear = _beside(evidence, dynamics, near, own=own, confirmed=confirmed, beside_steps=beside_steps) or clear
     return clear
-
-
-def evidence_in(values: Array, *, interval: float, least_noise: float, learned: SpectralPrior | None) -> Evidence:
-    """Return the evidence of dynamics in the first readings; arguments as of `spoken_for`."""
-    values = values[: EVIDENCE.samples]
-    evidence = Evidence(values - values.mean(), interval, least_noise**2 * interval)
-    if learned is None:
-        return evidence
-    white = None if learned.color is None else learned.noise**2 * interval
-    return replace(evidence, white=white, color=learned.color, rising=learned.rising, even=learned.even)
 
 
 def _clearest(
