@@ -151,11 +151,6 @@ def stretches_of(samples: int, interval: float, dynamics: Dynamics) -> int:
     return count - count % 2
 
 
-def _decay_rate(dynamics: ModalModel) -> float:
-    """Rate at which free oscillations decay [1/s]."""
-    return 2 * np.pi * dynamics.natural_frequency * max(dynamics.damping_ratio, SETTINGS.least_damping)
-
-
 def calm_stretch(first: int, last: int, *, steps: Sequence[Step], interval: float, dynamics: ModalModel) -> slice:
     """Return the longest stretch without a step, between two samples, that begins where the one before has decayed.
 
@@ -170,7 +165,8 @@ def calm_stretch(first: int, last: int, *, steps: Sequence[Step], interval: floa
     dynamics
         What decays.
     """
-    decay = SETTINGS.decayed / _decay_rate(dynamics)
+    least = SETTINGS.least_damping * dynamics.angular_frequency
+    decay = SETTINGS.decayed / max(dynamics.decay_rate, least)
     inside = sorted((step.instant, step.instant + step.duration + decay) for step in steps)
     begins = [first, *(max(int(end / interval), first) for _, end in inside if end > first * interval)]
     free = [
