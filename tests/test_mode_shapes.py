@@ -11,7 +11,7 @@ from scipy.optimize import minimize_scalar
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.estimation.applied_force import Force
-from aerobalance.estimation.checks.mode_shapes import Moved, gain_apart
+from aerobalance.estimation.checks.moved_modes import Moved, gain_apart
 from aerobalance.estimation.checks.steady_tones import without_tones
 from aerobalance.estimation.force import estimate_force
 from aerobalance.recording.channel import Array

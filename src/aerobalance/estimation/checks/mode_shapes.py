@@ -14,21 +14,15 @@ from itertools import combinations
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.optimize import minimize
-from scipy.special import expit
 
 from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.estimation.checks.changing_resonance import calm_stretch
-from aerobalance.estimation.checks.evidence import evidence_in
 from aerobalance.estimation.checks.model_error import LEFT_OPEN, as_noise
-from aerobalance.estimation.checks.near_resonance import near_resonance
-from aerobalance.estimation.checks.resonance import SETTINGS as RESONANCE
+from aerobalance.estimation.checks.moved_modes import SETTINGS as MOVED
+from aerobalance.estimation.checks.moved_modes import Moved, OtherShapes, gain_of, moved_together, one_moved
 from aerobalance.estimation.checks.ringing import RingingSpectra, Rows, most_samples, powers_of
 from aerobalance.estimation.checks.steady_tones import without_tones
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.prior import Observation
-from aerobalance.estimation.record import FEWEST_SAMPLES
 from aerobalance.estimation.result import ComponentForce, with_errors
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
@@ -37,183 +31,27 @@ from aerobalance.recording.doubts import DOUBTED, Doubt
 
 @dataclass(frozen=True, slots=True)
 class ModeShapeSettings:
-    """What is tried, and from which evidence on it is believed.
+    """What is asked of a record, and from which evidence on it is believed.
 
     Attributes
     ----------
-    decisive, moved
-        Gain in log-likelihood, beside the band that brings most, that other signs or another order must bring, and
-        that modes must which have moved: chance and narrow bands of the load brought 9 and 34, of these more than
-        `moved` in one of 60 records.
-    neighbors
-        Bands, one beside the other, in which a narrow band of the load shows: half an octave of them.
-    decisive_apart
-        Gain that modes which have moved must bring beside the neighbors that bring most. Of 300 records that agree,
-        220 of them of narrow bands, 298 had less than 1 and one had 2.8.
-    open_from, open_half, open_steepness
-        The same gain from which on the record leaves it open whether modes have moved, at which it is as likely as
-        not, and how fast that grows.
-    shifts, dampings
-        Changes of the logarithm of all natural frequencies that are tried, up and down, and factors of all damping
-        ratios.
-    tries
-        Dynamics that are tried at most to come closer to the best.
+    decisive
+        Gain in log-likelihood, beside the band that brings most, that other signs or another order must bring: chance
+        and narrow bands of the load brought 9.
     tones_above
         Frequency above which tones are taken out, over the lowest natural frequency.
-    broad
-        Damping ratio from which on a mode that was not known with half as much no longer rings: what is likelier
-        with it is a spectrum of the load and no motion of the balance.
-    against
-        Loss in log-likelihood in bands that modes which have moved make less likely, over the gain in the others, from
-        which on they are not believed: of modes that have moved by 3 % it is 0.1 to 0.15, where a record has power far
-        above its modes that no force makes 0.45 and more.
-    narrow
-        Factor of the damping ratio below which a mode is a tone of the load.
     end
         Share of a whole record that may be left behind its last part: on a slower clock the last sample is some before
         the record's.
-    as_expected
-        Changes of the logarithms of natural frequency, over the damping ratio, and of damping ratio below which the
-        resonance of a reading is the one that is expected: no finer than it is looked for.
-    as_damped
-        Change of the logarithm of its damping ratio up to which one mode alone is believed to have moved: a narrow
-        band of the load, or the edge of one, is as a resonance with another damping.
-    told, told_damping
-        Changes of the logarithms of a natural frequency and a damping ratio from which they are told.
     """
 
     decisive: float = 20.0
-    moved: float = 25.0
-    neighbors: int = 4
-    decisive_apart: float = 8.0
-    open_from: float = 4.0
-    open_half: float = 5.5
-    open_steepness: float = 0.8
-    shifts: tuple[float, ...] = (0.01, 0.02, 0.04, 0.08, 0.16, 0.25, 0.35, 0.5)
-    dampings: tuple[float, ...] = (0.4, 2.5)
-    tries: int = 40
     tones_above: float = 0.5
-    broad: float = 0.1
-    against: float = 0.3
-    narrow: float = 0.1
     end: float = 1e-3
-    as_expected: tuple[float, float] = (0.4, 0.5)
-    as_damped: float = 1.0
-    told: float = 0.001
-    told_damping: float = 0.3
 
 
 SETTINGS: Final = ModeShapeSettings()
 """Settings that are used."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Moved:
-    """Modes of coupled dynamics, some of them moved.
-
-    Attributes
-    ----------
-    dynamics
-        The dynamics.
-    changes
-        Logarithms of the factors of natural frequency and damping ratio of every mode, shape (modes, 2).
-    """
-
-    dynamics: CoupledDynamics
-    changes: Array
-
-    @classmethod
-    def none(cls, dynamics: CoupledDynamics) -> Moved:
-        """All where they are."""
-        return cls(dynamics, np.zeros((len(dynamics.modes), 2)))
-
-    def by(self, place: int | slice, change: Array) -> Moved:
-        """The same with one mode, or all, moved further, by shape (2,)."""
-        changes = self.changes.copy()
-        changes[place] += change
-        return replace(self, changes=changes)
-
-    @property
-    def ringing(self) -> NDArray[np.bool_]:
-        """Whether each mode rings as a balance may, and was not found without resonance or damping, shape (modes,)."""
-        before = np.array([mode.damping_ratio for mode in self.dynamics.modes])
-        now = before * np.exp(self.changes[:, 1])
-        return np.asarray((now > SETTINGS.narrow * before) & (now < np.maximum(SETTINGS.broad, 2 * before)))
-
-    @property
-    def moved(self) -> CoupledDynamics:
-        """Dynamics whose modes are those, in shapes as they were."""
-        poles, shapes, _ = self.dynamics.modal_form
-        up = np.flatnonzero(poles.imag > 0)
-        up = up[np.argsort(np.abs(poles[up]))]
-        size, shapes = len(shapes), shapes[:, up]
-        frequency = np.abs(poles[up]) * np.exp(self.changes[:, 0])
-        ratio = np.minimum(-poles[up].real / np.abs(poles[up]) * np.exp(self.changes[:, 1]), 0.99)
-        found = frequency * (-ratio + 1j * np.sqrt(1 - ratio**2))
-        both, found = np.hstack([shapes, shapes.conj()]), np.concatenate([found, found.conj()])
-        # x'' = -A^-1 (x + D x') for every mode
-        forward = np.real((both * found**2) @ np.linalg.inv(np.vstack([both, both * found])))
-        inertia = -np.linalg.inv(forward[:, :size])
-        return replace(self.dynamics, inertia=inertia, damping=-inertia @ forward[:, size:])
-
-    @property
-    def rows(self) -> Rows:
-        """Their rows."""
-        dynamics = self.moved
-        return Rows(np.stack([np.eye(len(dynamics.inertia)), dynamics.damping, dynamics.inertia], axis=-1))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class OtherShapes:
-    """What the ringing of coupled components speaks for.
-
-    Attributes
-    ----------
-    kind
-        ``"swapped sign"``, ``"swapped channels"``, ``"natural frequency"`` or ``"damping ratio"``.
-    places
-        Rows of the channels that are exchanged; none where modes have moved.
-    rows
-        The rows that it speaks for.
-    gain
-        Gain in log-likelihood.
-    moved
-        Modes that have moved; None where channels are exchanged.
-    probability
-        Probability of it [1]; below one the record leaves it open.
-    """
-
-    kind: str
-    places: tuple[int, ...]
-    rows: Rows
-    gain: float
-    moved: Moved | None = None
-    probability: float = 1.0
-
-
-def gain_of(evidence: Array, known: Array) -> float:
-    """Gain in log-likelihood over what is known, less that of the band that brings most.
-
-    A narrow band or the edge of a load is in one band, and looks there as modes do that are elsewhere.
-    """
-    gains = evidence - known
-    return float(np.sum(gains) - max(np.max(gains), 0.0))
-
-
-def gain_apart(evidence: Array, known: Array) -> float:
-    """Gain in log-likelihood over what is known, less that of the neighboring bands that bring most.
-
-    A narrow band of the load shows in these alone, modes that have moved show at all that ring.
-    """
-    gains = evidence - known
-    neighbors = np.convolve(gains, np.ones(min(SETTINGS.neighbors, gains.size)), mode="valid")
-    return float(np.sum(gains) - max(np.max(neighbors), 0.0))
-
-
-def _contradicted(evidence: Array, known: Array) -> bool:
-    """Whether bands speak against what others speak for: modes that have moved are likelier wherever they are."""
-    gains = evidence - known
-    return float(-np.sum(np.minimum(gains, 0.0))) > SETTINGS.against * float(np.sum(np.maximum(gains, 0.0)))
 
 
 def other_shapes(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherShapes | None:
@@ -242,64 +80,10 @@ def other_shapes(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherSha
     gains = [gain_of(ringing.evidence(rows, determinant=volume), known) for _, _, rows in exchanged]
     best = int(np.argmax(gains))
     gain, (kind, places, rows) = gains[best], exchanged[best]
-    moved = _moved(ringing, dynamics, known, least=max(gain, SETTINGS.moved))
+    moved = moved_together(ringing, dynamics, known, least=max(gain, MOVED.moved))
     if gain > SETTINGS.decisive and (moved is None or moved.gain < gain):
         return OtherShapes(kind, places, rows, gain)
     return moved
-
-
-def _moved(ringing: RingingSpectra, dynamics: CoupledDynamics, known: Array, *, least: float) -> OtherShapes | None:
-    """The modes that a record speaks for, where that brings more than other explanations.
-
-    All are moved together first: a single one that seems to have moved may be a narrow band of the load.
-    """
-    if dynamics.internal or len(dynamics.modes) != len(dynamics.components):
-        return None
-    own, everything = Moved.none(dynamics), slice(None)
-    together = [(sign * size, 0.0) for size in SETTINGS.shifts for sign in (-1, 1)]
-    together += [(0.0, float(np.log(factor))) for factor in SETTINGS.dampings]
-    tried = [own.by(everything, np.array(step)) for step in together]
-    evidence = [_evidence(ringing, one) for one in tried]
-    gains = [gain_of(one, known) for one in evidence]
-    if max(gains) < 0.5 * least and max(gain_apart(one, known) for one in evidence) < 0.5 * SETTINGS.open_from:
-        return None
-    found = _closer(ringing, own, everything, tried[int(np.argmax(gains))])
-    seen = _evidence(ringing, found)
-    gain, apart = gain_of(seen, known), gain_apart(seen, known)
-    narrow = gain < least or (apart < SETTINGS.open_from and gain < 2 * least)
-    if (narrow and apart < SETTINGS.open_from) or not found.ringing.any() or _contradicted(seen, known):
-        return None
-    if narrow and apart < SETTINGS.decisive_apart:
-        probability = float(expit(SETTINGS.open_steepness * (apart - SETTINGS.open_half)))
-        return OtherShapes("natural frequency", (), found.rows, gain, found, probability)
-    for place in range(len(found.changes)):
-        closer = _closer(ringing, found, place, found)
-        found = closer if closer.ringing[place] else found
-    frequency, damping = np.max(np.abs(found.changes), axis=0)
-    kind = "natural frequency" if frequency > SETTINGS.told or damping < SETTINGS.told_damping else "damping ratio"
-    return OtherShapes(kind, (), found.rows, gain, found)
-
-
-def _evidence(ringing: RingingSpectra, moved: Moved) -> Array:
-    """Evidence of moved modes; none where a balance with them cannot be."""
-    try:
-        return ringing.evidence(moved.rows)
-    except (ValueError, np.linalg.LinAlgError):
-        return np.full(ringing.bands.size, -np.inf)
-
-
-def _closer(ringing: RingingSpectra, before: Moved, place: int | slice, first: Moved) -> Moved:
-    """The likeliest change of modes near a first guess."""
-    start = first.changes[place].reshape(-1, 2)[0] - before.changes[place].reshape(-1, 2)[0]
-    size = np.array([max(0.3 * abs(float(start[0])), 0.003), 0.3])
-
-    def lost(change: Array) -> float:
-        return -float(np.sum(_evidence(ringing, before.by(place, start + change * size))))
-
-    simplex = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    most = SETTINGS.tries
-    best = minimize(lost, np.zeros(2), method="Nelder-Mead", options={"maxfev": most, "initial_simplex": simplex})
-    return before.by(place, start + best.x * size)
 
 
 def force_errors(record: CoupledRecord, loads: Array, rows: Rows, bandwidth: Array) -> Array:
@@ -399,67 +183,11 @@ def _spoken(
         return None
     other = other_shapes(ringing, record.dynamics)
     if other is None:
-        return _one_moved(ringing, record, parts, readings, first=first)
+        return one_moved(ringing, record, parts, readings, first=first)
     # a tone is narrower than any resonance, and looks like one that is elsewhere
     above = SETTINGS.tones_above * record.dynamics.modes[0].natural_frequency * record.interval
     ringing = RingingSpectra.of(record, without_tones(loads[first:], above=above), parts)
     return None if ringing is None else other_shapes(ringing, record.dynamics)
-
-
-def _one_moved(
-    ringing: RingingSpectra,
-    record: CoupledRecord,
-    parts: Mapping[str, ComponentForce],
-    readings: Mapping[str, Observation],
-    *,
-    first: int,
-) -> OtherShapes | None:
-    """The one mode that has moved, by the reading of the component that shows it most; None where none does.
-
-    Where a load excites one mode alone, all that speaks for its move is in a few bands, where a narrow band of the
-    load would be too. Its reading tells them apart: no load makes a hole where the resonance was expected.
-    It is believed from the same gain on as of a single component, or left open (`spoken_for`).
-    """
-    dynamics = record.dynamics
-    if dynamics.internal or len(dynamics.modes) != len(dynamics.components):
-        return None
-    last, interval = min(first + most_samples(record), record.recording.samples), record.interval
-    found: list[tuple[float, int, Array]] = []
-    for name, reading in readings.items():
-        known, learned = reading.dynamics, parts[name].learned
-        # what a ground channel leaves in the readings swings as well
-        left = any(doubt.kind.startswith(("ground", "attitude")) for doubt in parts[name].doubts)
-        if left or not reading.present.all():
-            continue
-        calm = calm_stretch(first, last, steps=parts[name].steps, interval=interval, dynamics=known)
-        if calm.stop - calm.start < FEWEST_SAMPLES:
-            continue
-        values = without_tones(reading.values[calm, None])[:, 0]
-        near = near_resonance(values - values.mean(), interval, known)
-        if near is None:
-            continue
-        change = np.log([near.natural_frequency / known.natural_frequency, near.damping_ratio / known.damping_ratio])
-        if abs(change[0]) < SETTINGS.as_expected[0] * known.damping_ratio and abs(change[1]) < SETTINGS.as_expected[1]:
-            continue
-        evidence = evidence_in(values, interval=interval, least_noise=reading.least_noise, learned=learned)
-        evidence = replace(evidence, among=(known, near))
-        gain = evidence.of(near) - evidence.of(known) - float(np.log(len(readings)))  # chance has as many tries
-        change = np.log([near.natural_frequency / known.natural_frequency, near.damping_ratio / known.damping_ratio])
-        if gain > RESONANCE.open_from and abs(change[1]) < SETTINGS.as_damped:
-            apart = [abs(np.log(mode.natural_frequency / known.natural_frequency)) for mode in dynamics.modes]
-            found.append((gain, int(np.argmin(apart)), change))
-    if not found:
-        return None
-    gain, place, change = max(found, key=lambda one: one[0])
-    own = Moved.none(dynamics)
-    moved = _closer(ringing, own, place, own.by(place, change))
-    gains = _evidence(ringing, moved) - _evidence(ringing, own)
-    if abs(moved.changes[place, 1]) > SETTINGS.as_damped or float(np.sum(gains)) < RESONANCE.open_from:
-        return None
-    likely = float(expit(RESONANCE.open_steepness * (gain - RESONANCE.open_half)))
-    return OtherShapes(
-        "natural frequency", (), moved.rows, gain, moved, 1.0 if gain >= RESONANCE.decisive_near else likely
-    )
 
 
 def _words(other: OtherShapes, dynamics: CoupledDynamics) -> tuple[str, str]:
@@ -481,10 +209,10 @@ def _words(other: OtherShapes, dynamics: CoupledDynamics) -> tuple[str, str]:
     changed = []
     moved = other.moved or Moved.none(dynamics)
     for mode, (shift, ratio) in zip(dynamics.modes, moved.changes, strict=True):
-        if abs(shift) > SETTINGS.told or abs(ratio) > SETTINGS.told_damping:
+        if abs(shift) > MOVED.told or abs(ratio) > MOVED.told_damping:
             now, before = mode.natural_frequency * np.exp(shift), mode.natural_frequency
             what = f"at {now:.4g} Hz and not {before:.4g} Hz"
-            if abs(ratio) > SETTINGS.told_damping:
+            if abs(ratio) > MOVED.told_damping:
                 now, before = mode.damping_ratio * np.exp(ratio), mode.damping_ratio
                 what += f" (damping ratio {now:.2g} and not {before:.2g})"
             changed.append(what)
