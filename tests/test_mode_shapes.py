@@ -193,6 +193,7 @@ def test_modes_that_move_on_the_way_are_told_at_the_end(factor: float, rng) -> N
     late, early = slice(36_000, None), slice(0, 28_000)
     for place, part in enumerate(found.values()):
         error = part.values - force[::fine, place]
+        # 8 s tell the move of 3 % to a tenth, and the damping, which it was found with, to some half
         assert 0.5 < np.std(error[late]) / np.sqrt(np.mean(part.uncertainty[late] ** 2)) < 2
         assert np.mean(part.uncertainty[early] ** 2) < 0.1 * np.mean(part.uncertainty[late] ** 2)
 
