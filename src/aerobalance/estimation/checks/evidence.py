@@ -76,6 +76,8 @@ class Evidence:
         All dynamics near which some are compared: the periodogram is averaged alike for all of them.
     even
         Whether the ends of the reading are weighed as its middle.
+    near
+        Density of the noise that was found before [N^2/Hz], from which it is looked for; None to begin anew.
     """
 
     values: Array
@@ -86,6 +88,7 @@ class Evidence:
     rising: bool = False
     among: tuple[ModalModel, ...] = ()
     even: bool = False
+    near: float | None = None
     _known: dict[tuple[float, ...], SpectrumFit] = field(default_factory=dict)
     _density: Array | None = None
     _edges: NDArray[np.int64] | None = None
@@ -115,8 +118,9 @@ class Evidence:
         key = tuple(number for mode in dynamics.modes for number in (*numbers_of(mode),))
         if key not in self._known:
             periodogram = self._periodogram(dynamics)
+            before = next((fit.noise_density for fit in self._known.values()), self.near)
             self._known[key] = fit_spectrum(
-                periodogram, noise_density=self.white, floor=self.floor, rising=self.rising
+                periodogram, noise_density=self.white, floor=self.floor, rising=self.rising, near=before
             )
         return self._known[key]
 
@@ -179,8 +183,9 @@ def evidence_in(values: Array, *, interval: float, least_noise: float, learned: 
     evidence = Evidence(values - values.mean(), interval, least_noise**2 * interval)
     if learned is None:
         return evidence
-    white = None if learned.color is None else learned.noise**2 * interval
-    return replace(evidence, white=white, color=learned.color, rising=learned.rising, even=learned.even)
+    noise = learned.noise**2 * interval
+    white, near = (None, noise) if learned.color is None else (noise, None)
+    return replace(evidence, white=white, color=learned.color, rising=learned.rising, even=learned.even, near=near)
 
 
 def _averaged(power: Array, own: slice) -> Array:

@@ -59,7 +59,7 @@ TAIL_STEPS: Final = 8
 TAIL_ENOUGH: Final = 0.01
 """Relative change of the level at which they end: a twentieth of its standard uncertainty or less."""
 
-AT_ONCE: Final = 64
+AT_ONCE: Final = 256
 """Averages whose costs are worked out at once."""
 
 SAME: Final = 1e-9
@@ -82,8 +82,11 @@ def fit_segments(periodogram: Periodogram, noise: float, *, rising: bool = False
         Whether the force may be stronger where the balance weakens it.
     """
     gain, background = periodogram.gain, periodogram.background(noise)
-    levels = _levels(periodogram, background)
     weakened = np.zeros(gain.size, dtype=np.bool_) if rising else gain < WEAKENED
+    levels = _levels(periodogram, background)
+    if not weakened.all():  # above what all readings show of a force no level is likelier
+        shown = float(np.max((periodogram.density / gain)[~weakened]))
+        levels = levels[: int(np.searchsorted(levels, shown)) + 2]
     cost = np.empty((gain.size, levels.size))
     _write_costs(cost, periodogram, background, levels, ~weakened)
     if weakened.any():

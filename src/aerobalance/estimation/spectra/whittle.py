@@ -69,6 +69,7 @@ def fit_spectrum(
     floor: float = 0.0,
     smooth: bool = False,
     rising: bool = False,
+    near: float | None = None,
 ) -> SpectrumFit:
     """Find the spectrum of the force and the noise of the reading.
 
@@ -84,18 +85,24 @@ def fit_spectrum(
         Whether only a spectrum that rolls off is looked for.
     rising
         Whether the force may be stronger where the balance weakens it than elsewhere.
+    near
+        Density of the noise that was found with nearly the same dynamics [N^2/Hz]: it is begun with in place of a
+        quiet level about it, and needs no further turn where it is the same.
     """
     starts = quiet_levels(periodogram) if noise_density is None else [noise_density]
+    if near is not None and noise_density is None and starts[0] / COLORED < near < starts[0] * COLORED:
+        starts[0] = near
     noises = [max(start, floor) for start in starts]
     least = floor if noise_density is None else None
     nothing = Spectrum(np.zeros(0), np.zeros(0))
     fits = [
         *(_with_noise(nothing, periodogram, noise, floor=least) for noise in noises if not smooth),
         *(_segmented(periodogram, noise, floor=least, rising=rising) for noise in noises if not smooth),
-        *(
-            _with_noise(spectrum, periodogram, noise, floor=None)
-            for spectrum, noise in fit_roll_offs(periodogram, noises, floor=least)
-        ),
+    ]
+    beside = max((fit.evidence for fit in fits), default=-np.inf)
+    fits += [
+        _with_noise(spectrum, periodogram, noise, floor=None)
+        for spectrum, noise in fit_roll_offs(periodogram, noises, floor=least, beside=beside)
     ]
     return max(fits, key=lambda fit: fit.evidence)
 
