@@ -56,6 +56,8 @@ class LocalModeSettings:
         Level of the balance's own resonance over the noise from which its frequency and damping are looked at.
     lack_of_fit
         Standard deviations by which the band may fit worse than by chance.
+    nearby
+        Part of a search step over which slopes of a response are taken.
     """
 
     parts: int = 8
@@ -71,6 +73,7 @@ class LocalModeSettings:
     heaviest: float = 0.1
     excited: float = 20.0
     lack_of_fit: float = 5.0
+    nearby: float = 1e-6
 
 
 SETTINGS: Final = LocalModeSettings()
@@ -137,7 +140,23 @@ def smeared(density: Array) -> Array:
 
     Beyond `SETTINGS.reach` ordinates the window passes less than 1e-6 of a line's power.
     """
-    return np.convolve(density, _LOBE, mode="valid")[::2]
+    # whole ordinates away the window passes nothing but at the next ones; half of them away it has its side lobes
+    whole = density[_MAIN.start : density.size - _MAIN.start : 2]
+    next_, own = _LOBE[_MAIN]
+    between = np.convolve(density[1::2], _LOBE[1::2], mode="valid")
+    return np.asarray(between + own * whole[1:-1] + next_ * (whole[:-2] + whole[2:]))
+
+
+def _unsmeared(slopes: Array) -> Array:
+    """Slopes by a density at `Averaged.fine`, of what has slopes by what `smeared` makes of that density."""
+    found = np.zeros(2 * slopes.size - 1 + 4 * SETTINGS.reach)
+    found[1::2] = np.convolve(slopes, _LOBE[1::2])
+    whole = found[_MAIN.start : found.size - _MAIN.start : 2]
+    next_, own = _LOBE[_MAIN]
+    whole[1:-1] += own * slopes
+    whole[:-2] += next_ * slopes
+    whole[2:] += next_ * slopes
+    return found
 
 
 def _lobe() -> Array:
@@ -147,6 +166,7 @@ def _lobe() -> Array:
 
 
 _LOBE: Final = _lobe()
+_MAIN: Final = slice(2 * SETTINGS.reach - 2, 2 * SETTINGS.reach + 1, 2)
 
 
 Power: TypeAlias = Callable[[Array], Callable[[Array], Array]]
@@ -411,12 +431,17 @@ def _fit(seen: Averaged, band: NDArray[np.intp], power: Power, *, start: Array, 
     centre = float(seen.frequency[band].mean())
     frequency = seen.fine(band)
     log_ratio = np.clip(np.log(np.maximum(frequency, seen.resolution) / centre), -1, 1)
-    transfer = power(frequency)
+    transfer, ones = power(frequency), np.ones(frequency.size)
     weight = seen.averages * SETTINGS.independent
 
-    def expected(point: Array) -> Array:
+    def load(point: Array) -> tuple[Array, Array]:
+        """The square of the response, and the density of the force."""
         force = np.exp(np.minimum(np.maximum(point[start.size] + point[start.size + 1] * log_ratio, -690), 690))
-        return smeared(transfer(point[: start.size]) * force + seen.noise)
+        return transfer(point[: start.size]), force
+
+    def expected(point: Array) -> Array:
+        response, force = load(point)
+        return smeared(response * force) + seen.noise
 
     level0 = float(np.median(seen.power[band] / power(seen.frequency[band])(start)))
     origin = np.concatenate([start, [np.log(max(level0, 1e-300)), 0.0]])
@@ -424,17 +449,29 @@ def _fit(seen: Averaged, band: NDArray[np.intp], power: Power, *, start: Array, 
 
     readings = seen.power[band]
 
-    def loss(moved: Array) -> float:
+    def loss(moved: Array) -> tuple[float, Array]:
+        """Less the log-likelihood, and its slopes."""
+        point = origin + size * moved
+        impossible = 1e12, np.zeros(point.size)
         try:
             with np.errstate(all="ignore"):  # far from all that is likely, numbers may overflow
-                level = expected(origin + size * moved)
+                response, force = load(point)
+                level = smeared(response * force) + seen.noise
+                if not (level > 0).all():
+                    return impossible
+                felt = _unsmeared(weight * (1 - readings / level) / level) * force
+                slopes = np.empty(point.size)
+                for place in range(start.size):
+                    beside = point[: start.size].copy()
+                    beside[place] += SETTINGS.nearby * size[place]
+                    slopes[place] = felt @ (transfer(beside) - response) / SETTINGS.nearby
+                slopes[start.size :] = size[start.size :] * (felt * response @ np.column_stack([ones, log_ratio]))
+                value = float(weight * np.sum(np.log(level) + readings / level))
         except ValueError:  # outside what dynamics can be
-            return 1e12
-        if not (level > 0).all():
-            return 1e12
-        return float(weight * np.sum(np.log(level) + readings / level))
+            return impossible
+        return (value, slopes) if np.isfinite(slopes).all() else impossible
 
-    found = minimize(loss, np.zeros(origin.size), method="BFGS", options={"gtol": 1e-3, "maxiter": 60})
+    found = minimize(loss, np.zeros(origin.size), jac=True, method="BFGS", options={"gtol": 1e-3, "maxiter": 60})
     point = origin + size * found.x
     shown = expected(point)
     slopes = np.column_stack(
