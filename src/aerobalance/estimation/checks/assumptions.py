@@ -20,7 +20,7 @@ from aerobalance.estimation.checks.mains_hum import hum_assumed
 from aerobalance.estimation.checks.model_error import error_under
 from aerobalance.estimation.force_smoother import SmootherResult, instant_columns
 from aerobalance.estimation.independent_record import SingleRecord, moves_along_axis
-from aerobalance.estimation.prior import generalised_least_squares
+from aerobalance.estimation.prior import Observation, generalised_least_squares
 from aerobalance.estimation.record import ComponentRecord, Through
 from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.steps import response_to, shape_of
@@ -208,22 +208,15 @@ def _of_single(record: SingleRecord, fit: SmootherResult, unit: str) -> Iterator
     if stated > SETTINGS.told * SETTINGS.frequency:
         return
     other = own.retuned(frequency=1 + SETTINGS.frequency, damping=1.0)
+    if fit.force.size > SETTINGS.first and _tells(fit, other, slice(0, SETTINGS.first)):  # most records tell it soon
+        return
     error = error_under(fit.force, own=own, other=other, interval=record.interval)
     effect = float(np.sqrt(np.mean(error**2)))
     rounding = SETTINGS.rounding * float(np.sqrt(np.mean(fit.force**2)))
     if effect <= max(SETTINGS.matters * float(np.sqrt(np.mean(fit.variance))), rounding):
         return
-    shown = _shown_by(record, fit, other)
-    known = instant_columns(fit.reading, fit.steps, heights=[step.height for step in fit.steps])[0]
-    columns, readings = np.column_stack([known, shown]), fit.reading.filled
-    for count in sorted({min(SETTINGS.first, readings.size), readings.size}):  # most records tell it soon
-        filter_ = fit.filter.over(fit.reading.present[:count])
-        try:
-            _, covariance, _ = generalised_least_squares(filter_, readings[:count], columns[:count])
-        except FitError:
-            return
-        if 0 < float(np.sqrt(covariance[-1, -1])) < SETTINGS.told:
-            return
+    if _tells(fit, other, slice(0, fit.force.size)):
+        return
     text = (
         f"the natural frequency of {name} is {own.natural_frequency:.5g} Hz, which this record does not tell: "
         f"{100 * SETTINGS.frequency:g} % more or less would change the force by {{}}"
@@ -231,23 +224,34 @@ def _of_single(record: SingleRecord, fit: SmootherResult, unit: str) -> Iterator
     yield _told("natural frequency", name, text, effect, unit)
 
 
-def _shown_by(record: SingleRecord, fit: SmootherResult, other: Dynamics) -> Array:
-    """What the readings show of it that the balance is another, shape (n,) [N]: by the steps, and by the other force.
+def _tells(fit: SmootherResult, other: Dynamics, within: slice) -> bool:
+    """Whether the first samples of a record tell its dynamics from others, or cannot be asked."""
+    reading = replace(fit.reading, values=fit.reading.values[within])
+    known = instant_columns(reading, fit.steps, heights=[step.height for step in fit.steps])[0]
+    columns = np.column_stack([known, _shown_by(fit, reading, other)])
+    try:
+        _, covariance, _ = generalised_least_squares(fit.filter.over(reading.present), reading.filled, columns)
+    except FitError:
+        return True
+    return 0 < float(np.sqrt(covariance[-1, -1])) < SETTINGS.told
+
+
+def _shown_by(fit: SmootherResult, reading: Observation, other: Dynamics) -> Array:
+    """What the first readings show of it that the balance is another, shape (n,) [N]: by the steps, and by the force.
 
     The force has no power beyond its band: what the ends of the record leave of it there, at the natural frequency
     above all, would pass for knowledge of that.
     """
-    reading, count = fit.reading, fit.force.size
-    there = replace(reading, dynamics=other)
+    count, there = reading.values.size, replace(reading, dynamics=other)
     staircase, shown = np.zeros(count), np.zeros(count)
     for step in fit.steps:
         staircase += step.height * shape_of(step, reading)
         shown += step.height * (response_to(step, there) - response_to(step, reading))
-    frequency = np.asarray(np.fft.rfftfreq(2 * count, record.interval), dtype=np.float64)
+    frequency = np.asarray(np.fft.rfftfreq(2 * count, reading.interval), dtype=np.float64)
     density = fit.learned.spectrum.density(frequency)
-    rest = fit.force - staircase
+    rest = fit.force[:count] - staircase
     lines = np.fft.rfft(np.concatenate([rest, rest[::-1]])) * (density > SETTINGS.band * density.max(initial=0.0))
-    change = other.response(frequency) - record.dynamics.response(frequency)
+    change = other.response(frequency) - reading.dynamics.response(frequency)
     return shown + np.fft.irfft(lines * change, 2 * count)[:count]
 
 
