@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final, NamedTuple, Protocol
+from typing import Final, NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
@@ -19,8 +19,13 @@ from scipy.special import expit
 
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.checks.evidence import SETTINGS as EVIDENCE
 from aerobalance.estimation.checks.evidence import Evidence, evidence_in, numbers_of
+from aerobalance.estimation.checks.free_oscillation import (
+    BesideSteps,
+    evidence_beside,
+    gain_after_a_blow,
+    gain_beside,
+)
 from aerobalance.estimation.checks.near_resonance import near_resonance
 from aerobalance.estimation.prior import SpectralPrior
 from aerobalance.estimation.steps import Step
@@ -46,8 +51,6 @@ class ResonanceSettings:
         reached 10.
     open_far, open_far_half
         The same of a further mode, the price of its numbers paid, and of a balance that does not ring.
-    after, fewest
-        Periods after the largest reading from which on what follows is looked at, and samples that it needs.
     usual
         Factor by which a damping ratio is usually off, one standard deviation of its logarithm: of a short record a
         resonance of any width may be left, and one ten times as wide is not as likely as one that is nearly the same.
@@ -89,8 +92,6 @@ class ResonanceSettings:
     open_from: float = 4.5
     open_half: float = 8.0
     open_steepness: float = 0.8
-    after: float = 2.0
-    fewest: int = 256
     usual: float = 2.0
     open_far: float = 7.0
     open_far_half: float = 10.0
@@ -117,14 +118,6 @@ SETTINGS: Final = ResonanceSettings()
 
 MOVED: Final = ("natural frequency", "damping ratio")
 """Kinds of dynamics with as many modes as are known: the same free oscillation tells against either."""
-
-
-class BesideSteps(Protocol):
-    """What readings are without some steps and the free oscillation from their begin."""
-
-    def __call__(self, dynamics: Dynamics, steps: Sequence[Step], /, *, first: int = 0) -> Array:
-        """Return what is left of them with some dynamics, shape (n,) [N]; of those from a sample on, without steps."""
-        ...
 
 
 class Spoken(NamedTuple):
@@ -212,7 +205,7 @@ def spoken_for(
         # other dynamics may need the largest step alone, where the expected ones need many that mend them
         largest = [max(steps, key=lambda step: abs(step.height))]
         with_steps = [
-            _evidence_beside(evidence, beside_steps(one, some), one, some)
+            evidence_beside(evidence, beside_steps(one, some), one, some)
             for one, some in ((dynamics, steps), (clear.dynamics, steps), (clear.dynamics, largest))
         ]
         line = _apart(steps, dynamics) >= SETTINGS.many and clear.kind in MOVED
@@ -288,7 +281,7 @@ def _beside(
     other = _best_near(evidence, "natural frequency", dynamics, near)
     gain = evidence.of(other) - own
     if gain >= SETTINGS.open_from and beside_steps is not None:
-        gain = min(gain, _gain_beside(evidence, dynamics, other, beside_steps))
+        gain = min(gain, gain_beside(evidence, dynamics, other, beside_steps))
     if gain < SETTINGS.open_from:
         return None
     spoken = _named(Spoken("natural frequency", other, gain), evidence, dynamics, confirmed=confirmed)
@@ -327,61 +320,14 @@ def _apart(steps: Sequence[Step], dynamics: Dynamics) -> int:
     return count
 
 
-def _evidence_beside(evidence: Evidence, left: Array, dynamics: Dynamics, steps: Sequence[Step]) -> float:
-    """Evidence of dynamics and steps together, by what these leave; Schwarz's price of the steps is paid."""
-    left = left[: EVIDENCE.samples]
-    numbers = sum(3 if step.duration > 0 else 2 for step in steps)
-    price = 0.5 * numbers * float(np.log(left.size / 2))
-    return replace(evidence, values=left - left.mean(), _known={}, _density=None).of(dynamics) - price
-
-
-def _gain_beside(
-    evidence: Evidence,
-    dynamics: Dynamics,
-    other: Dynamics,
-    beside_steps: BesideSteps,
-) -> float:
-    """Gain of other dynamics, each with a free oscillation from the begin of the record where that makes it likelier.
-
-    That tells of a resonance by its course alone: decaying, it has no spectrum of a steady one, and under the window
-    it looks hardly damped. Of a resonance that a load keeps up, it is least squares' alone: its sizes are not those
-    that make the readings likeliest, and may make them less likely than none. Then it speaks for neither.
-    """
-    price = float(np.log(evidence.values.size / 2))  # Schwarz's price of its two sizes
-    own, others = (
-        max(evidence.of(one), _evidence_beside(evidence, beside_steps(one, ()), one, ()) - price)
-        for one in (dynamics, other)
-    )
-    return others - own
-
-
 def _stands(clear: Spoken, evidence: Evidence, dynamics: Dynamics, beside_steps: BesideSteps) -> bool:
     """Whether other dynamics are believed beside a free oscillation, from the begin or after the largest reading."""
     if clear.kind == "no resonance":
-        return not _rings_on(evidence, dynamics, clear.dynamics, beside_steps)
+        return gain_after_a_blow(evidence, dynamics, clear.dynamics, beside_steps) < SETTINGS.decisive
     if clear.kind not in MOVED or clear.probability < 1:
         return True
-    gain = _gain_beside(evidence, dynamics, clear.dynamics, beside_steps) - _price(clear.kind, evidence)
+    gain = gain_beside(evidence, dynamics, clear.dynamics, beside_steps) - _price(clear.kind, evidence)
     return gain >= SETTINGS.decisive
-
-
-def _rings_on(evidence: Evidence, dynamics: Dynamics, none: Dynamics, beside_steps: BesideSteps) -> bool:
-    """Whether what comes after the largest reading speaks clearly for a free oscillation of the dynamics.
-
-    A single blow has a spectrum with holes, of which one beside the natural frequency hides the resonance; what rings
-    on after it is told by its course. Where a load keeps a balance of other dynamics in motion that says the same of
-    them after its largest reading as before.
-    """
-    later = round(SETTINGS.after / (dynamics.natural_frequency * evidence.interval))
-    first = int(np.argmax(np.abs(evidence.values))) + later
-    if evidence.values.size - first < SETTINGS.fewest:
-        return False
-    gains = []
-    for one in (dynamics, none):
-        left = beside_steps(one, (), first=first)[: evidence.values.size - first]
-        part = replace(evidence, values=left - left.mean(), _known={}, _density=None, _edges=None)
-        gains.append(part.of(one))
-    return gains[0] - gains[1] >= SETTINGS.decisive
 
 
 def _named(spoken: Spoken, evidence: Evidence, dynamics: Dynamics, *, confirmed: float) -> Spoken | None:
