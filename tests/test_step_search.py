@@ -47,6 +47,39 @@ def test_the_scan_is_the_gain_in_likelihood_of_each_step(known, rng):
         assert gains[place] == pytest.approx(expected, rel=1e-3, abs=1e-3)
 
 
+def test_the_scan_tells_the_gain_of_each_change_of_slope(rng):
+    reading = reading_of([(0.5003, 300.0, 0.0), (0.9, 2000.0, 0.5)], rng)
+    known = [Step(0.5003, 0.0)]
+    filter_, columns = filter_of(reading, known), columns_of(known, reading)
+    scan = Scan.of(reading, filter_, columns)
+    gains = scan.gain_of_bends(scan.score)
+    without = log_likelihood(reading, filter_, columns=columns)
+    for place in (700, 1441, 2000):
+        # a slope is a small step at each sample from there on
+        bend = np.sum(
+            [response_to(Step((k - 1) / RATE, 0.0), reading) for k in range(place, reading.values.size)], axis=0
+        )
+        expected = 2 * (log_likelihood(reading, filter_, columns=np.column_stack([columns, bend])) - without)
+        assert gains[place] == pytest.approx(expected, rel=1e-3, abs=1e-3)
+
+
+@pytest.mark.parametrize("corners", [[0.3, 0.7, 1.5, 1.9], [0.2, 0.5]], ids=len)
+def test_corners_of_ramps_are_no_steps(corners, rng):
+    heights = [3000.0, -3000.0]
+    ramps = [(a, height, b - a) for a, b, height in zip(corners[::2], corners[1::2], heights, strict=False)]
+    search = StepSearch(reading_of(ramps, rng))
+    assert search.run()[0] == []
+    # to a sample, of the two beside the corner
+    assert search.bends == pytest.approx(corners, abs=2 / RATE)
+
+
+def test_a_step_beside_a_corner_is_found(rng):
+    # slopes of 7500 N/s; the step stands out of 2 N of noise as it would alone
+    steps, _ = find_steps(reading_of([(0.4, 3000.0, 0.4), (1.1003, 300.0, 0.0), (1.4, -3000.0, 0.4)], rng))
+    assert [step.instant for step in steps] == pytest.approx([1.1003], abs=0.5 / RATE)
+    assert steps[0].height == pytest.approx(300.0, abs=5 * steps[0].height_uncertainty)
+
+
 def test_the_scan_without_a_step_is_that_of_the_other_shapes(rng):
     known = [Step(0.5003, 0.0), Step(1.4, 0.003)]
     reading = reading_of([(0.5003, 300.0, 0.0), (1.4, -200.0, 0.003)], rng)

@@ -245,9 +245,10 @@ class Fitted:
             doubts.append(_search_ended(signal.ended))
         white = fit.innovations
         if record.shared is None:
-            level, strange, missed_there = _unexplained(record, fit, white)
+            level, strange, missed_there = _unexplained(record, fit, white, bends=signal.bends)
         else:  # what is noisier by what is not known there is no fault of the model
-            level, strange, missed_there = _unexplained(record, fit, np.where(record.shared.level > 1, 0.0, white))
+            calm = np.where(record.shared.level > 1, 0.0, white)
+            level, strange, missed_there = _unexplained(record, fit, calm, bends=signal.bends)
             level = np.maximum(record.shared.level, level)
         doubts += strange
         lines = fit.sized(signal.hum)
@@ -290,6 +291,7 @@ class Fitted:
             bandwidth=_resolved_bandwidth(reading, learned),
             noise_gain=float(np.sqrt(np.mean(fit.variance))) / noise,
             steps=tuple(steps),
+            bends=signal.bends,
             hum=lines,
             learned=learned,
             shared=record.shared,
@@ -413,8 +415,13 @@ def _tell_of_hum(record: ComponentRecord, lines: tuple[Line, ...], *, driven: tu
             )
 
 
-def _unexplained(record: ComponentRecord, fit: SmootherResult, white: Array) -> tuple[Array, list[Doubt], Array]:
-    """Variance of the innovations over what is expected, what it says, and the force that is missed, (n,) [N]."""
+def _unexplained(
+    record: ComponentRecord, fit: SmootherResult, white: Array, *, bends: Sequence[float]
+) -> tuple[Array, list[Doubt], Array]:
+    """Variance of the innovations over what is expected, what it says, and the force that is missed, (n,) [N].
+
+    At a sudden change of slope, of whose instants `bends` are [s], a stretch departs from any stationary force.
+    """
     level, edges = excess_of(white)
     in_blocks = np.repeat(level, np.diff(edges))
     highest = _resolved_bandwidth(fit.reading, fit.learned)
@@ -424,6 +431,10 @@ def _unexplained(record: ComponentRecord, fit: SmootherResult, white: Array) -> 
     if not strange.size:
         return raised, [], np.zeros(white.size)
     missed = missed_force(fit.reading, fit.learned, residuals=fit.residuals, strange=in_blocks > 1)
+    bent = [int(np.searchsorted(edges, at / record.interval, side="right")) - 1 for at in bends]
+    strange = np.setdiff1d(strange, [one + beside for one in bent for beside in (-1, 0, 1)])
+    if not strange.size:
+        return raised, [], missed
     worst = int(strange[np.argmax(level[strange])])
     start, stop = (record.recording.start + float(edge) * record.interval for edge in edges[worst : worst + 2])
     name, unit = record.dynamics.component, si_unit(record.dynamics.component)

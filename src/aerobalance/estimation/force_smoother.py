@@ -74,6 +74,8 @@ class SignalModel:
         The search for steps, where it ended before all were found; else None.
     of_load
         Lines at frequencies of the mains that are harmonics of a load that repeats.
+    bends
+        Instants of sudden changes of the force's slope [s].
     """
 
     reading: Observation
@@ -85,6 +87,7 @@ class SignalModel:
     slow: SlowNoise | None = None
     ended: StepSearch | None = None
     of_load: tuple[Line, ...] = ()
+    bends: tuple[float, ...] = ()
 
 
 class _MainsLines(NamedTuple):
@@ -143,7 +146,9 @@ def fit_signal_model(reading: Observation, *, hum: Hum, resolution: float | None
         search = StepSearch(named)
         steps, learned = search.run()
     ended = search if search.said else None
-    return SignalModel(named, steps, learned, mains.hum, mains.large, floor, slow, ended, mains.of_load)
+    return SignalModel(
+        named, steps, learned, mains.hum, mains.large, floor, slow, ended, mains.of_load, tuple(search.bends)
+    )
 
 
 def _looked_above(reading: Observation, steps: Sequence[Step]) -> tuple[Observation, Floor | None]:

@@ -118,6 +118,8 @@ class ComponentForce:
     found_motion
         What gaps hid of the ground's motion and its channels lack, as the load shows it, shape (n,) [m/s^2]; None
         where that was not looked for.
+    bends
+        Instants of sudden changes of the force's slope, from the first sample on [s].
     """
 
     component: str
@@ -138,6 +140,7 @@ class ComponentForce:
     doubts: tuple[Doubt, ...] = ()
     assumed: tuple[Assumption, ...] = ()
     found_motion: Array | None = None
+    bends: tuple[float, ...] = ()
 
     def __repr__(self) -> str:
         unit, u = si_unit(self.component), float(np.sqrt(np.nanmean(self.uncertainty**2)))

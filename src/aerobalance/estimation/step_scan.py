@@ -12,7 +12,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -34,6 +34,9 @@ SHORTEST: Final = 1 << 12
 
 FORGOTTEN: Final = 1e-10
 """Change of that response over its largest one that is rounding."""
+
+AROUND: Final = 1.0
+"""Periods of the natural frequency within which a change of slope is looked for that looks like a step."""
 
 ALIKE: Final = 1e-9
 """Singular value over the largest below which responses at neighbouring samples are one."""
@@ -59,6 +62,8 @@ class Scan:
         What makes the sizes of the known shapes out of those of the orthogonal ones, shape (p, p).
     sizes
         Sizes of the known shapes, shape (p,).
+    bends
+        Instants of changes of slope that would have been taken for steps [s].
     """
 
     reading: Observation
@@ -68,6 +73,7 @@ class Scan:
     shown: Array
     inverse: Array
     sizes: Array
+    bends: list[float] = field(default_factory=list)
 
     @classmethod
     def of(cls, reading: Observation, filter_: KalmanFilter, columns: Array) -> Scan:
@@ -124,6 +130,8 @@ class Scan:
     def likeliest(self, *, threshold: float, most: int, known: Sequence[Step], fresh: int | None = None) -> list[Step]:
         """Return the likeliest further steps, to a sample, the likeliest of all first.
 
+        Where a sudden change of slope explains more there is none: the prior takes that for a part of the force.
+
         Parameters
         ----------
         threshold
@@ -158,11 +166,68 @@ class Scan:
             place = int(np.argmax(np.where(gains >= least, gains, 0.0)))
             if gains[place] < least[place]:
                 break
+            bend = self._bend(score, gains, place, least)
+            if bend is not None:
+                self.bends.append((bend - 1) * interval)
+                least[max(bend - apart, 0) : bend + apart + 1] = np.inf
+                score -= self._made_by_bend(score, bend)
+                continue
             found.append(Step(instant=(place - 1) * interval, duration=0.0))
             if len(found) < most:
                 taken, waits = [*taken, place], [(place, float(gains[place]))]
                 score -= self._made_by(score, place)
         return found
+
+    def _bend(self, score: Array, gains: Array, place: int, least: Array) -> int | None:
+        """Return the place of a change of slope that explains more than the likeliest step; None where none does.
+
+        Parameters
+        ----------
+        score, gains
+            Score of the steps, and their gains, shape (n,).
+        place
+            The likeliest step.
+        least
+            Gain that each promises at least, shape (n,).
+        """
+        reach = int(np.ceil(AROUND / (self.reading.dynamics.natural_frequency * self.reading.interval)))
+        of_bends = self.gain_of_bends(score)
+
+        def beside(step: int) -> int | None:
+            first = max(step - reach, 0)
+            near = of_bends[first : step + reach + 1]
+            likeliest = int(np.argmax(near))
+            # what a change of slope far away leaves is largest at an end
+            inside = 0 < likeliest < near.size - 1
+            return first + likeliest if inside and near[likeliest] > gains[step] else None
+
+        # one that explains more than any step may be what makes that step the likeliest
+        largest = int(np.argmax(np.where(np.isfinite(least), of_bends, 0.0)))
+        if of_bends[largest] > gains[place]:
+            first = max(largest - reach, 0)
+            own = first + int(np.argmax(gains[first : largest + reach + 1]))
+            bend = beside(own) if gains[own] >= least[own] else None
+            if bend is not None:
+                return bend
+        return beside(place)
+
+    def gain_of_bends(self, score: Array) -> Array:
+        """Gain in twice the log-likelihood of a change of slope at each sample with a score of steps, shape (n,) [1].
+
+        The response to it is that to a step at each sample from there on: its score and its products are their sums.
+        """
+        squares = np.cumsum(np.cumsum(self.response.whole(score.size)) ** 2)[::-1]
+        shown = _from_there(self.shown)
+        information = squares - np.einsum("np,np->n", shown, shown)
+        known = information > 1e-9 * squares
+        return np.where(known, _from_there(score) ** 2 / np.maximum(information, 1e-300), 0.0)
+
+    def _made_by_bend(self, score: Array, place: int) -> Array:
+        """Return the part of a score that a change of slope at a sample makes, shape (n,)."""
+        shape = np.zeros(score.size)
+        shape[place:] = np.cumsum(self.response.whole(score.size - place))
+        made = self.response.against(shape[:, None])[:, 0] - self.shown @ self.shown[place:].sum(axis=0)
+        return np.asarray(made * (score[place:].sum() / made[place:].sum()))
 
     def _made_by(self, score: Array, place: int) -> Array:
         """Return the part of a score that steps at a sample and beside it make, and so one between, shape (n,)."""
@@ -186,6 +251,11 @@ class Scan:
         out[:-1, 0] = out[1:, 1] + last[place - 1] * last[:-1]
         out[-1, 0] = last[place - 1] * r[0]
         return out
+
+
+def _from_there(series: Array) -> Array:
+    """Sums of a series from each sample to the end, of its shape."""
+    return np.asarray(np.cumsum(series[::-1], axis=0)[::-1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -89,11 +89,14 @@ class StepSearch:
         Priors that were asked for last, with their filters.
     end
         What to tell the user where the search has ended before all was found.
+    bends
+        Instants of sudden changes of the force's slope [s], which are no steps and a part of what the prior expects.
     """
 
     reading: Observation
     filters: list[tuple[SpectralPrior, KalmanFilter]] = field(default_factory=list)
     end: str = ""
+    bends: list[float] = field(default_factory=list)
 
     def run(self) -> Found:
         """Return the steps in the order of their instants, and the prior of the force without them."""
@@ -134,6 +137,10 @@ class StepSearch:
         steps, learned = self._joined(sorted(steps, key=lambda step: step.instant), learned)
         if len(steps) >= self.most and self._scan(learned, steps).promise >= self.threshold:
             self.end = self.end or MORE
+        if self.bends:  # those that show beside all steps
+            scan = self._scan(learned, steps)
+            scan.likeliest(threshold=self.threshold, most=self.most, known=steps)
+            self.bends = sorted(scan.bends)
         return steps, learned
 
     @property
@@ -201,6 +208,7 @@ class StepSearch:
         """
         room, scan = self.most - len(steps), self._scan(prior, steps)
         candidates = scan.likeliest(threshold=self.threshold - less, most=room + 1, known=steps)
+        self.bends += scan.bends
         if candidates and self._is_the_models(prior, steps, candidates[0], promise=scan.promise):
             self.end = RINGS
             return None

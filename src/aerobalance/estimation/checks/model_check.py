@@ -65,7 +65,8 @@ def checked(force: Force) -> Force:
     def known_of_one(component: str) -> dict[str, Any]:
         # what a ground channel leaves in the readings swings as well, and is no other damping
         explained = any(doubt.kind.startswith(("ground", "attitude")) for doubt in force[component].doubts)
-        return {**known(component), "learned": None if explained else force[component].learned}
+        part = force[component]
+        return {**known(component), "learned": None if explained else part.learned, "bends": part.bends}
 
     record, parts = force.record, dict(force.parts)
     if isinstance(record, CoupledRecord):

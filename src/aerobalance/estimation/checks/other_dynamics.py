@@ -210,6 +210,7 @@ def other_dynamics_in(
     steps: Sequence[Step] = (),
     hum: Sequence[Line] = (),
     learned: SpectralPrior | None = None,
+    bends: Sequence[float] = (),
 ) -> OtherDynamics:
     """What a record says against its dynamics: other natural frequency or damping ratio, or a mode that they lack.
 
@@ -223,6 +224,8 @@ def other_dynamics_in(
         Sudden changes of the force, and lines of hum, that were found in the record.
     learned
         Prior of the force that was learned from it; None where none was.
+    bends
+        Instants of sudden changes of the force's slope [s]: what rings after each is of one course, and no noise.
     """
     dynamics = record.dynamics
     seen = unbroken(record, steps, hum)
@@ -230,6 +233,9 @@ def other_dynamics_in(
         return OtherDynamics(dynamics.component)
     reading, within = seen
     known = record.load
+    begin = longest_stretch(record).start * reading.interval
+    end = begin + reading.values.size * reading.interval
+    slopes = [Step(at - begin, end - at) for at in bends if begin <= at < end]  # each goes on up to the end
 
     def beside_steps(other: Dynamics, some: Sequence[Step], *, first: int = 0) -> Array:
         return _without_tones(without_steps(replace(reading, dynamics=other, values=reading.values[first:]), some))
@@ -242,7 +248,7 @@ def other_dynamics_in(
         learned=learned,
         color_found=record.noise is None,
     )
-    spoken = ask(_without_tones(reading.values), steps=within, beside_steps=beside_steps)
+    spoken = ask(_without_tones(reading.values), steps=[*within, *slopes], beside_steps=beside_steps)
     if spoken is None or spoken.kind != "no resonance":
         changed = _changed_along(record, ask, steps=steps, hum=hum, whole=spoken)
         if changed is not None:
