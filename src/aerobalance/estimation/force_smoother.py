@@ -189,6 +189,12 @@ def _hum_of(reading: Observation, values: Array, hum: Hum) -> _MainsLines:
     return _MainsLines(lines, (), of_load)
 
 
+LOST: Final = "narrow bands of the force beyond what its filter can follow"
+"""Contribution of what the shaping filter of a spectrum leaves out."""
+
+FINE: Final = 8192
+"""Frequencies at which that is looked for."""
+
 HIDDEN: Final = "force in gaps of the readings"
 """Contribution of what a gap hides of the force."""
 
@@ -304,7 +310,32 @@ class SmootherResult:
         parts.append(Noise("what the model does not explain", sources[0], beyond, (load + ground) / both))
         if hidden.any():
             parts.append(Noise(HIDDEN, sources[0], np.sqrt(hidden), force / float(np.mean(force))))
+        lost = self._lost()
+        if lost.any():
+            power = float(np.mean(lost))
+            size = np.full(self.variance.size, np.sqrt(power / self.reading.interval))
+            parts.append(Noise(LOST, sources[0], size, lost / power))
         return parts
+
+    def _lost(self) -> Array:
+        """Density of the force that the filter of its spectrum has too few states for, at even frequencies [N^2/Hz].
+
+        Of many narrow bands it keeps the strongest, and the smoother takes the others for noise.
+        """
+        spectrum = self.learned.spectrum
+        if np.count_nonzero(spectrum.levels) < 2:
+            return np.zeros(1)
+        frequency = np.linspace(0, 0.5 / self.reading.interval, FINE + 1)
+        expected = spectrum.density(frequency)
+        bands = expected > 0
+        kept = np.zeros(frequency.size)
+        kept[bands] = self.learned.shaping.spectrum(frequency[bands])
+        gain = np.abs(self.reading.dynamics.response(frequency[bands])) ** 2
+        noise = self.learned.noise_density(frequency, interval=self.reading.interval)[bands] / gain
+        noise += self.reading.input_density
+        lost = np.zeros(frequency.size)
+        lost[bands] = np.maximum(expected - kept, 0.0)[bands] * (noise / (kept[bands] + noise)) ** 2
+        return lost
 
     def _by_gaps(self) -> tuple[Array, Array]:
         """Variance of the force as elsewhere in the record, and what gaps make it more, shape (n,) each [N^2].
