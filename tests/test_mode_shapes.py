@@ -12,8 +12,8 @@ from scipy.optimize import minimize_scalar
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.moved_modes import Moved, gain_apart
-from aerobalance.estimation.checks.steady_tones import without_tones
 from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.spectra.steady_tones import without_tones
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.doubts import Verdict

@@ -167,6 +167,16 @@ def wrong() -> list[Case]:
     return [one for make in makers for one in make()]
 
 
+def rotor(rate: float) -> Maker:
+    """Eight harmonics of a rotor, of 100 N over their number, in phases of their own."""
+    numbers = np.arange(1, 9)
+
+    def force(time: Array) -> Array:
+        return np.sin(2 * np.pi * rate * np.multiply.outer(time, numbers) + 1.7 * numbers**2) @ (100 / numbers)
+
+    return shaped(force)
+
+
 def sound() -> list[Case]:
     """Return records with nothing wrong."""
     kinds: dict[str, Maker] = {
@@ -183,6 +193,11 @@ def sound() -> list[Case]:
         "narrow at 66 Hz": band(5.0, 60, 72),
         "narrow at 40 Hz": together(band(20.0, 37, 43), band(10.0, 0, 15)),
         "sine 17 Hz": together(shaped(lambda t: 40 * np.sin(2 * np.pi * 17.3 * t)), band(10.0, 0, 30)),
+        "rotor of 7.3 Hz": rotor(7.3),
+        "rotor of 23 Hz": rotor(23.0),
+        "rotor of 23 Hz and 0-60 Hz, 60 N": together(rotor(23.0), band(60.0, 0, 60)),
+        "triangle of 4 Hz, 300 N": shaped(lambda t: 300 * (2 / np.pi) * np.arcsin(np.sin(8 * np.pi * t))),
+        "trapezoid of 3000 N": shaped(lambda t: 3000 * np.interp(t, [0.3, 0.7, 1.5, 2.1], [0, 1, 1, 0])),
     }
     found = [Case(name, "sound", Scene(force)) for name, force in kinds.items()]
     # long ones also of loads with edges, lines and steps: the local fit of a further mode is of these alone

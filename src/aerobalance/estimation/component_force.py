@@ -24,7 +24,7 @@ from aerobalance.estimation.checks.model_error import as_noise
 from aerobalance.estimation.checks.resolution import resolution_doubt, rounding_error
 from aerobalance.estimation.checks.unexplained import excess_of, missed_force, sudden_excess
 from aerobalance.estimation.direct import band_limited, central_differences, missed
-from aerobalance.estimation.error_sources import Contribution
+from aerobalance.estimation.error_sources import Contribution, Noise
 from aerobalance.estimation.force_smoother import (
     LARGEST_HUM,
     LinearSmoother,
@@ -60,6 +60,9 @@ FREQUENCIES: Final = 4097
 
 NOT_EXPLAINED: Final = "force that the model does not explain"
 """Name of the error where readings show a force that the model of the load leaves out."""
+
+HIDDEN_HARMONICS: Final = "harmonics of the load that noise hides"
+"""Name of the error where a load that repeats may have more harmonics than are seen."""
 
 BEYOND_THE_BAND: Final = "force beyond the band, and at the ends"
 """Name of the error of a direct inverse where the force is too fast for it or its past or future is not recorded."""
@@ -260,7 +263,7 @@ class Fitted:
             return estimator.run(series if whole else np.where(reading.present[:, None], series, 0.0))
 
         def again(other: ComponentRecord) -> Array:
-            changed = other.reading(hum=reading.hum)
+            changed = other.reading(hum=reading.hum, tones=reading.tones)
             return LinearSmoother.of(changed, learned=learned, steps=steps).run(changed.filled[:, None])[:, 0]
 
         def moved(item: SystematicParameter) -> Array:
@@ -280,18 +283,23 @@ class Fitted:
         if missed_there.any():
             period = 1 / record.dynamics.natural_frequency
             errors.append(as_noise(missed_there, name=NOT_EXPLAINED, period=period, interval=record.interval))
+        if signal.hidden:
+            hidden = np.full(reading.values.size, signal.hidden)
+            errors.append(Noise(HIDDEN_HARMONICS, record.dynamics.component, hidden, np.ones(1)))
         for told, unseen in self._unseen(errors):
             errors += unseen
             doubts += told
         return record.finish(
             fit.force,
             errors,
-            method=f"smoother, force's spectrum learned: {learned.spectrum}{_words_on_noise(record, learned)}",
+            method=f"smoother, force's spectrum learned: {learned.spectrum}{_words_on_tones(reading.tones)}"
+            f"{_words_on_noise(record, learned)}",
             noise=noise,
             bandwidth=_resolved_bandwidth(reading, learned),
             noise_gain=float(np.sqrt(np.mean(fit.variance))) / noise,
             steps=tuple(steps),
             bends=signal.bends,
+            tones=fit.tones,
             hum=lines,
             learned=learned,
             shared=record.shared,
@@ -350,6 +358,15 @@ class Fitted:
 
 def _with_values_of(record: ComponentRecord, reading: Observation) -> Observation:
     return replace(reading, values=record.reading().values)
+
+
+def _words_on_tones(tones: Sequence[float]) -> str:
+    """How many steady tones were found beside a spectrum, and from where to where."""
+    if not tones:
+        return ""
+    if len(tones) == 1:
+        return f"; a steady tone at {tones[0]:.4g} Hz"
+    return f"; {len(tones)} steady tones from {tones[0]:.4g} to {tones[-1]:.4g} Hz"
 
 
 def _words_on_noise(record: ComponentRecord, learned: SpectralPrior) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -16,11 +16,14 @@ from aerobalance.estimation.prior import (
     bridged,
     ends_differ,
     evenly_weighted,
+    fit_prior,
     generalised_least_squares,
     least_squares,
+    log_likelihood,
     whitened,
 )
 from aerobalance.estimation.spectra.line_noise import Hum, Line, columns_of_lines, hum_lines, load_harmonics
+from aerobalance.estimation.spectra.load_tones import LoadTones, load_tones
 from aerobalance.estimation.spectra.noise_floor import Floor, with_floor
 from aerobalance.estimation.spectra.slow_noise import SlowNoise, slow_noise_of
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, StateSpace
@@ -45,6 +48,12 @@ SAME_NOISE: Final = 0.3
 
 AT_ONCE: Final = 4
 """Series that are smoothed together."""
+
+CLEAR: Final = 30.0
+"""Amplitude of a tone over its standard uncertainty from which on it is given a frequency of its own."""
+
+MOST_TUNED: Final = 0.1
+"""Change of a tone's frequency beside all else at most [ordinates]."""
 
 SHIFT: Final = 0.05
 """Change of a step's instant over which its slopes are taken, in sampling intervals."""
@@ -76,6 +85,8 @@ class SignalModel:
         Lines at frequencies of the mains that are harmonics of a load that repeats.
     bends
         Instants of sudden changes of the force's slope [s].
+    hidden
+        Force of harmonics of a load that noise may hide, rms [N].
     """
 
     reading: Observation
@@ -88,6 +99,7 @@ class SignalModel:
     ended: StepSearch | None = None
     of_load: tuple[Line, ...] = ()
     bends: tuple[float, ...] = ()
+    hidden: float = 0.0
 
 
 class _MainsLines(NamedTuple):
@@ -115,6 +127,54 @@ def fit_signal_model(reading: Observation, *, hum: Hum, resolution: float | None
         None where it is decoupled from other components, as what is left of these may rise as well.
     """
     mains = _hum_of(reading, reading.values, hum)
+    fitted = partial(_fitted, mains=mains, hum=hum, resolution=resolution)
+    tones = LoadTones()
+    if reading.present.all():
+        lines = tuple(line.frequency for line in mains.hum)
+        tones = load_tones(reading.values, reading.interval, reading.dynamics, hum=lines)
+    if not tones.frequencies:
+        return fitted(reading)
+    tonal = _tuned(replace(fitted(replace(reading, tones=tones.frequencies)), hidden=tones.hidden))
+    if not tonal.steps:
+        return tonal
+    # a square wave shows some tones as well, and the steps that it is made of are likelier
+    plain = fitted(reading)
+    return max(tonal, plain, key=_evidence)
+
+
+def _tuned(signal: SignalModel) -> SignalModel:
+    """The same with the tones at the frequencies that the readings want beside all else.
+
+    A line that grows along the record is one at another frequency to first order: (T / 2) dw of cosine and sine.
+    """
+    reading, number = signal.reading, len(signal.reading.tones)
+    columns, _ = instant_columns(reading, signal.steps, heights=[step.height for step in signal.steps])
+    filter_ = KalmanFilter.of(reading.system(signal.learned), reading.present)
+    sizes, covariance, _ = generalised_least_squares(filter_, reading.filled, columns)
+    sine, cosine, growing_sine, growing_cosine = sizes[sizes.size - 4 * number :].reshape(-1, 4).T
+    noise = np.diag(covariance)[sizes.size - 4 * number :].reshape(-1, 4)[:, :2].sum(axis=1)
+    half = 0.5 * (reading.values.size - 1) * reading.interval
+    power = np.maximum(sine**2 + cosine**2, 1e-300)
+    # that of a faint one is told better by the other harmonics
+    turned = (sine * growing_cosine - cosine * growing_sine) / power * (power > CLEAR**2 * noise)
+    most = MOST_TUNED / (reading.values.size * reading.interval)
+    moved = np.array(reading.tones) + np.clip(turned / (2 * np.pi * half), -most, most)
+    reading = replace(reading, tones=tuple(moved.tolist()))
+    learned = fit_prior(reading, columns=columns_of(signal.steps, reading), before=signal.learned)
+    return replace(signal, reading=reading, learned=learned)
+
+
+def _evidence(signal: SignalModel) -> float:
+    """Logarithm of the likelihood of a record, less Schwarz's price of its steps, tones and spectrum."""
+    reading = signal.reading
+    filter_ = KalmanFilter.of(reading.system(signal.learned), reading.present)
+    numbers = sum(3 if step.duration > 0 else 2 for step in signal.steps) + 3 * len(reading.tones)
+    price = 0.5 * (numbers + signal.learned.spectrum.parameters) * float(np.log(reading.values.size))
+    return log_likelihood(reading, filter_, columns=columns_of(signal.steps, reading)) - price
+
+
+def _fitted(reading: Observation, mains: _MainsLines, *, hum: Hum, resolution: float | None) -> SignalModel:
+    """Steps and prior of a record whose lines of the mains and tones are named."""
     named, floor = _looked_above(replace(reading, hum=tuple(line.frequency for line in mains.hum)), [])
     named = evenly_weighted(named, columns=columns_of([], named))
     search = StepSearch(named)
@@ -129,7 +189,8 @@ def fit_signal_model(reading: Observation, *, hum: Hum, resolution: float | None
     if steps:
         if hum != "keep":
             heights = np.array([0.0, *(step.height for step in steps)])
-            mains = _hum_of(reading, reading.values - columns_of(steps, reading) @ heights, hum)
+            known = columns_of(steps, reading)[:, : heights.size]
+            mains = _hum_of(reading, reading.values - known @ heights, hum)
         again, other = _looked_above(replace(reading, hum=tuple(line.frequency for line in mains.hum)), steps)
         again = replace(again, even=named.even)
         if _differ(named, again):
@@ -192,6 +253,9 @@ def _hum_of(reading: Observation, values: Array, hum: Hum) -> _MainsLines:
 LOST: Final = "narrow bands of the force beyond what its filter can follow"
 """Contribution of what the shaping filter of a spectrum leaves out."""
 
+NEGLIGIBLE: Final = 0.01
+"""Part of the power of the error from which on that is one."""
+
 FINE: Final = 8192
 """Frequencies at which that is looked for."""
 
@@ -247,6 +311,8 @@ class SmootherResult:
         shapes[:, 0] = 1.0
         for place, step in enumerate(steps, start=1):
             shapes[:, place] = shape_of(step, reading)
+        if reading.tones:
+            shapes[:, -2 * len(reading.tones) :] = forces_of_tones(reading)
         white = whitened(filter_, reading.filled, columns)
         sizes, _, _ = least_squares(white[:, 0], white[:, 1:])
         states = filter_.smooth((reading.filled - columns @ sizes)[:, None])[:, 0]
@@ -265,9 +331,20 @@ class SmootherResult:
         left = self.reading.filled - self.columns @ self.sizes - self.states[:, LOAD]
         return np.where(self.reading.present, left, 0.0)
 
+    @property
+    def tones(self) -> tuple[Line, ...]:
+        """The steady tones of the force, with their sizes in the reading."""
+        frequencies = self.reading.tones
+        sizes = self.sizes[self.sizes.size - 2 * len(frequencies) :].reshape(-1, 2)
+        return tuple(
+            Line(frequency, float(sine), float(cosine), 0.0, np.inf)
+            for frequency, (sine, cosine) in zip(frequencies, sizes, strict=True)
+        )
+
     def sized(self, lines: Sequence[Line]) -> tuple[Line, ...]:
         """The lines of hum with the sizes that were found together with everything else."""
-        sizes = self.sizes[1 + len(self.steps) :].reshape(-1, 2)
+        first = 1 + len(self.steps)
+        sizes = self.sizes[first : first + 2 * len(self.reading.hum)].reshape(-1, 2)
         return tuple(
             replace(line, sine=float(sine), cosine=float(cosine))
             for line, (sine, cosine) in zip(lines, sizes, strict=True)
@@ -311,8 +388,8 @@ class SmootherResult:
         if hidden.any():
             parts.append(Noise(HIDDEN, sources[0], np.sqrt(hidden), force / float(np.mean(force))))
         lost = self._lost()
-        if lost.any():
-            power = float(np.mean(lost))
+        power = float(np.mean(lost))
+        if power > NEGLIGIBLE * both:
             size = np.full(self.variance.size, np.sqrt(power / self.reading.interval))
             parts.append(Noise(LOST, sources[0], size, lost / power))
         return parts
@@ -359,10 +436,9 @@ class SmootherResult:
             edge += side_variance(step, time, height=float(height), interval=reading.interval)
         numbers = range(1, 1 + heights.size)
         names = ["constant", *(f"step {i}" for i in numbers), *(f"instant of step {i}" for i in numbers)]
-        for line in reading.hum:
-            names += [
-                f"{part} of hum at {line:.4g} Hz" for part in ("sine", "cosine", "growing sine", "growing cosine")
-            ]
+        lines = [*(f"hum at {line:.4g} Hz" for line in reading.hum), *(f"{line:.4g} Hz" for line in reading.tones)]
+        for line in lines:
+            names += [f"{part} of {line}" for part in ("sine", "cosine", "growing sine", "growing cosine")]
         covariance = generalised_least_squares(filter_, reading.filled, estimator.columns)[1]
         slopes = -estimator.size_errors
         source = self.reading.dynamics.component
@@ -435,8 +511,8 @@ def instant_columns(
 ) -> tuple[Array, Array]:
     """Balance load under the constant, under every step of 1 N and under its later instant, and the forces of these.
 
-    Lines of hum come last, each with its sine and cosine and the same growing along the record: that is what an error
-    of its frequency does, and a slow change of its amplitude.
+    Lines of hum and tones of the load come last, each with its sine and cosine and the same growing along the record:
+    that is what an error of its frequency does, and a slow change of its amplitude.
 
     Returns
     -------
@@ -445,7 +521,7 @@ def instant_columns(
         instant.
     """
     count, small = reading.values.size, SHIFT * reading.interval
-    steady = replace(reading, hum=())
+    steady = replace(reading, hum=(), tones=())
     columns, forms = [columns_of(list(steps), steady)], [np.ones(count)]
     forms += [shape_of(step, reading) for step in steps]
     for step, height in zip(steps, heights, strict=True):
@@ -458,7 +534,24 @@ def instant_columns(
         both = columns_of_lines([line], count=count, interval=reading.interval)
         columns += [both, growing * both]
         forms += [np.zeros((count, 4))]
+    for tone in reading.tones:
+        both = columns_of_lines([tone], count=count, interval=reading.interval)
+        columns += [both, growing * both]
+        force = forces_of_tones(replace(reading, tones=(tone,)))
+        forms += [force, growing * force]
     return np.column_stack(columns), np.column_stack(forms)
+
+
+def forces_of_tones(reading: Observation) -> Array:
+    """Return the forces that make sine and cosine of each tone of 1 N in the reading, shape (n, 2 tones) [1]."""
+    shown = columns_of_lines(reading.tones, count=reading.values.size, interval=reading.interval)
+    inverse = 1 / reading.dynamics.response(np.array(reading.tones))
+    found = np.empty_like(shown)
+    for place, turned in enumerate(inverse):
+        sine, cosine = shown[:, 2 * place], shown[:, 2 * place + 1]
+        found[:, 2 * place] = turned.real * sine + turned.imag * cosine
+        found[:, 2 * place + 1] = turned.real * cosine - turned.imag * sine
+    return found
 
 
 def _densities(reading: Observation, learned: SpectralPrior) -> tuple[Array, tuple[Array, Array]]:

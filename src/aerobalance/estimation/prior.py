@@ -115,6 +115,8 @@ class Observation:
         Standard deviation of the white noise of a reading [N]; None when it is to be learned.
     hum
         Frequencies of steady lines that are no force [Hz].
+    tones
+        Frequencies of steady lines of the force [Hz].
     color
         What the noise has beyond that; None if nothing is known of it.
     rising
@@ -131,6 +133,7 @@ class Observation:
     input_density: float = 0.0
     noise: float | None = None
     hum: tuple[float, ...] = ()
+    tones: tuple[float, ...] = ()
     color: ColoredNoise | ShapedNoise | None = None
     rising: bool = False
     decimated: int = 1

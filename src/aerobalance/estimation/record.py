@@ -126,11 +126,11 @@ class ComponentRecord(ABC):
         """Force of the ground's motion on the moving mass at the load's instants, still in the readings, (n,) [N]."""
         return np.zeros(self.recording.samples) + self.motion_error
 
-    def reading(self, *, hum: tuple[float, ...] = ()) -> Observation:
+    def reading(self, *, hum: tuple[float, ...] = (), tones: tuple[float, ...] = ()) -> Observation:
         """The record as the estimator takes it: the load that the ground's motion has put on it is taken off.
 
-        Hum is named by its frequencies [Hz] and left in; readings that rest on a limit count as missing, and so do
-        those of instants at which the ground's motion was not read.
+        Hum and tones of the load are named by their frequencies [Hz] and left in; readings that rest on a limit count
+        as missing, and so do those of instants at which the ground's motion was not read.
         """
         channel = self.recording.channel(self.dynamics.component)
         lost = channel.at_limit | self.before_ground
@@ -141,6 +141,7 @@ class ComponentRecord(ABC):
             input_density=self.input_noise**2 * self.interval,
             noise=channel.noise,
             hum=hum,
+            tones=tones,
             decimated=self.recording.decimated,
         )
         if self.noise is not None:

@@ -118,6 +118,8 @@ class ComponentForce:
     found_motion
         What gaps hid of the ground's motion and its channels lack, as the load shows it, shape (n,) [m/s^2]; None
         where that was not looked for.
+    tones
+        Steady tones of the force, with their sizes in the reading.
     bends
         Instants of sudden changes of the force's slope, from the first sample on [s].
     """
@@ -140,6 +142,7 @@ class ComponentForce:
     doubts: tuple[Doubt, ...] = ()
     assumed: tuple[Assumption, ...] = ()
     found_motion: Array | None = None
+    tones: tuple[Line, ...] = ()
     bends: tuple[float, ...] = ()
 
     def __repr__(self) -> str:

@@ -197,9 +197,12 @@ def side_variance(step: Step, time: Array, *, height: float, interval: float) ->
 
 
 def columns_of(steps: Sequence[Step], reading: Observation) -> Array:
-    """Return the constant, the response to every step, and sine and cosine of hum, shape (n, 1 + steps + 2 lines)."""
+    """Return the constant, the response to every step, and sine and cosine of lines, shape (n, 1 + steps + 2 lines).
+
+    Lines are those of hum, then tones of the load; of both it is the reading that has an amplitude of 1 N.
+    """
     count = reading.values.size
-    lines = columns_of_lines(reading.hum, count=count, interval=reading.interval)
+    lines = columns_of_lines((*reading.hum, *reading.tones), count=count, interval=reading.interval)
     return np.column_stack([np.ones(count), *(response_to(step, reading) for step in steps), lines])
 
 

@@ -231,12 +231,13 @@ class _Trial:
     def by_smoother(self, learned: SpectralPrior) -> Iterator[Mapping[str, Array]]:
         """Errors of the smoother's force by contribution, one draw after the other."""
         hum = tuple(line.frequency for line in self.estimate.hum)
-        reading, steps = self.record.reading(hum=hum), self.estimate.steps
+        tones, steps = tuple(line.frequency for line in self.estimate.tones), self.estimate.steps
+        reading = self.record.reading(hum=hum, tones=tones)
         nominal = LinearSmoother.of(reading, learned=learned, steps=steps)
         found = nominal.run(reading.filled[:, None])[:, 0]
 
         def moved(record: ComponentRecord) -> Array:
-            drawn = record.reading(hum=hum)
+            drawn = record.reading(hum=hum, tones=tones)
             estimator = LinearSmoother.of(drawn, learned=learned, steps=steps)
             return np.asarray(estimator.run(drawn.filled[:, None])[:, 0] - found)
 

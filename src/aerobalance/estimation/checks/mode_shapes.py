@@ -20,10 +20,10 @@ from aerobalance.estimation.checks.model_error import LEFT_OPEN, as_noise
 from aerobalance.estimation.checks.moved_modes import SETTINGS as MOVED
 from aerobalance.estimation.checks.moved_modes import Moved, OtherShapes, gain_of, moved_together, one_moved
 from aerobalance.estimation.checks.ringing import RingingSpectra, Rows, most_samples, powers_of
-from aerobalance.estimation.checks.steady_tones import without_tones
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.prior import Observation
 from aerobalance.estimation.result import ComponentForce, with_errors
+from aerobalance.estimation.spectra.steady_tones import without_tones
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import DOUBTED, Doubt

@@ -60,7 +60,7 @@ def checked(force: Force) -> Force:
 
     def known(component: str) -> dict[str, Any]:
         part = force[component]
-        return {"noise": part.noise, "steps": part.steps, "hum": part.hum}
+        return {"noise": part.noise, "steps": part.steps, "hum": (*part.hum, *part.tones)}
 
     def known_of_one(component: str) -> dict[str, Any]:
         # what a ground channel leaves in the readings swings as well, and is no other damping

@@ -21,11 +21,11 @@ from aerobalance.estimation.checks.evidence import evidence_in
 from aerobalance.estimation.checks.near_resonance import near_resonance
 from aerobalance.estimation.checks.resonance import SETTINGS as RESONANCE
 from aerobalance.estimation.checks.ringing import RingingSpectra, Rows, most_samples
-from aerobalance.estimation.checks.steady_tones import without_tones
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.prior import Observation
 from aerobalance.estimation.record import FEWEST_SAMPLES
 from aerobalance.estimation.result import ComponentForce
+from aerobalance.estimation.spectra.steady_tones import without_tones
 from aerobalance.recording.channel import Array
 
 

@@ -21,12 +21,12 @@ from aerobalance.estimation.checks.evidence import Evidence
 from aerobalance.estimation.checks.local_modes import Averaged, missing_mode, own_resonance
 from aerobalance.estimation.checks.peaks import Peak
 from aerobalance.estimation.checks.resonance import Spoken, left_open, spoken_for
-from aerobalance.estimation.checks.steady_tones import without_tones
 from aerobalance.estimation.checks.step_ringing import change_by_steps
 from aerobalance.estimation.independent_record import SingleRecord
 from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.record import FEWEST_SAMPLES, ComponentRecord
 from aerobalance.estimation.spectra.line_noise import Line, reading_of_lines
+from aerobalance.estimation.spectra.steady_tones import without_tones
 from aerobalance.estimation.step_window import free_motions
 from aerobalance.estimation.steps import Step, columns_of
 from aerobalance.recording.channel import Array

@@ -55,7 +55,7 @@ def without_tones(loads: Array, *, above: float = 0.0) -> Array:
         near = slice(max(place - WIDTH, 0), place + WIDTH + 1)
         if not power[near].sum() > SHARE * power.sum():
             break
-        rate, after = _nearest_sine(spectrum, place, count)
+        rate, after = nearest_sine(spectrum, place, count)
         if after < LEFT * power[near].sum():
             both = np.column_stack([np.cos(rate * time), np.sin(rate * time)])
             shown = both * taper
@@ -66,8 +66,8 @@ def without_tones(loads: Array, *, above: float = 0.0) -> Array:
     return np.asarray(left)
 
 
-def _nearest_sine(spectrum: NDArray[np.complex128], place: int, count: int) -> tuple[float, float]:
-    """Frequency of the sine nearest to a peak [rad/sample], and the power that it leaves of that.
+def nearest_sine(spectrum: NDArray[np.complex128], place: int, count: int) -> tuple[float, float]:
+    """Return the frequency of the sine nearest to a peak [rad/sample], and the power that it leaves of that.
 
     The ordinates about the peak, turned back into a slow complex series, have all that a sine shows: some sixty
     numbers in the place of the record.

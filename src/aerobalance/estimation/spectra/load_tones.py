@@ -1,0 +1,352 @@
+r"""Steady tones of a load: a shaker, a rotor and its harmonics, as lines of known frequency and unknown size.
+
+A load that repeats exactly has a spectrum of lines, which no spectrum of a few states follows, and in which nothing
+but a line has power. As sine and cosine each is found to the size that the noise leaves, sigma sqrt(2 / n) over |G|.
+Where the balance weakens a force, what looks like a line may as well be of the electronics: there only those count
+that are harmonics of lines seen where it does not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import rfft
+
+from aerobalance.dynamics.modal import ModalModel
+from aerobalance.estimation.spectra.line_noise import MAINS
+from aerobalance.estimation.spectra.steady_tones import LEFT, WIDTH, nearest_sine
+from aerobalance.recording.channel import Array
+from aerobalance.recording.fourier import hann
+
+EVIDENCE: Final = 60.0
+"""Least evidence of a tone that is looked for at any frequency [1]: noise alone exceeds it at an ordinate with the
+probability exp(-60 / 3) = 2e-9."""
+
+EVIDENCE_OF_HARMONIC: Final = (12.0, 20.0)
+"""The same of a harmonic, whose frequency is known, next to one that is seen and beyond one that is not: exp(-12 / 3)
+and exp(-20 / 3) by chance, which costs as much as noise leaves of a size."""
+
+ENDED: Final = 3
+"""Harmonics one after the other that are not seen, from which on there are no more."""
+
+MOST: Final = 40
+"""Tones at most: a load that has more is no sum of a few, as a square wave."""
+
+MOST_NUMBERS: Final = 1 << 21
+"""Samples times tones at most."""
+
+LOWEST: Final = 6.0
+"""Periods in the record from which on a tone is one."""
+
+HIGHEST: Final = 0.4
+"""Frequency over the sampling rate up to which tones are looked for."""
+
+BESIDE_A_MODE: Final = (4.0, 3.0)
+"""Distance from a natural frequency, in half widths of the resonance and in ordinates, within which a line may be a
+free oscillation."""
+
+WEAKENED: Final = 1.0
+"""Square of the response below which a line counts as a harmonic alone."""
+
+GOES_ON: Final = 5.0
+"""Odds that the harmonics go on, before those that are not seen are looked at: as those of a load with kinks, whose
+next one is as faint as noise. A rotor's that would be far above it are at their end."""
+
+JUMPS: Final = 1.5
+"""Power of frequency by which harmonics of a load with jumps fall at most: by 1, and those of one with kinks by 2."""
+
+PARTS: Final = 12
+"""Highest harmonic that the strongest tone is taken for, and most harmonics of a load without a jump where the highest
+of all is seen."""
+
+NEAR_MAINS: Final = 0.01
+"""Distance from 50 or 60 Hz and their harmonics, over these, within which a line may be hum that drifts: there only
+harmonics of a load of two tones or more count."""
+
+SAME: Final = (0.2, 0.5)
+"""Distance of a tone from a harmonic, in ordinates, up to which it is that: of a strong one, and of a faint one."""
+
+FAINT: Final = 0.1
+"""Amplitude in the reading over the largest, up to which a tone is faint."""
+
+NO_STRONGER: Final = 2.0
+"""Force at a harmonic over the largest of those below it, at most."""
+
+TURNS: Final = 3
+"""Times that all frequencies are found again beside the other tones."""
+
+
+BLOCK: Final = 32
+"""Ordinates over which the level is looked at first."""
+
+BESIDE: Final = (3, 27)
+"""From how many ordinates off a tone to how many its surroundings are looked at, the last not included."""
+
+BY_CHANCE: Final = 3.0
+"""Power that is left about a tone over that of its surroundings, up to which nothing is left."""
+
+
+class LoadTones(NamedTuple):
+    """Steady tones of a load.
+
+    Attributes
+    ----------
+    frequencies
+        Of those that are seen, in rising order [Hz].
+    hidden
+        Force of further harmonics that noise may hide, rms [N].
+    """
+
+    frequencies: tuple[float, ...] = ()
+    hidden: float = 0.0
+
+
+def load_tones(values: Array, interval: float, dynamics: ModalModel, *, hum: Sequence[float] = ()) -> LoadTones:
+    """Return the frequencies of the steady tones of a load [Hz]; none where it has more than a few.
+
+    Parameters
+    ----------
+    values
+        Readings without gaps, shape (n,) [N].
+    interval
+        Time between samples [s].
+    dynamics
+        The balance.
+    hum
+        Frequencies of lines that are taken for hum [Hz].
+    """
+    count, ordinate = values.size, 1 / (values.size * interval)
+    most, highest = min(MOST, MOST_NUMBERS // count), HIGHEST / interval
+
+    def may_be(frequency: Array, *, of_mains: bool = False) -> NDArray[np.bool_]:
+        allowed = (frequency > LOWEST * ordinate) & (frequency < highest)
+        for one in hum:
+            allowed &= np.abs(frequency - one) > WIDTH * ordinate
+        for mode in dynamics.modes:
+            width = max(BESIDE_A_MODE[0] * mode.damping_ratio * mode.natural_frequency, BESIDE_A_MODE[1] * ordinate)
+            allowed &= np.abs(frequency - mode.natural_frequency) > width
+        for mains in () if of_mains else MAINS:
+            number = np.maximum(np.rint(frequency / mains), 1)
+            allowed &= np.abs(frequency - number * mains) > np.maximum(NEAR_MAINS * number * mains, WIDTH * ordinate)
+        return np.asarray(allowed)
+
+    every = np.asarray(np.arange(count // 2 + 1) * ordinate, dtype=np.float64)
+    left = _Left.of(values - values.mean(), may_be(every), np.abs(dynamics.response(every)) ** 2)
+    while len(left.tones) <= most and left.take_next():
+        pass
+    if not left.tones or len(left.tones) > most:
+        return LoadTones()
+    left.refine()
+    found = np.array([tone.rate for tone in left.tones]) / (2 * np.pi * interval)
+    gain = np.abs(dynamics.response(found))
+    forces = np.array([tone.amplitude for tone in left.tones]) / gain
+    clear = gain**2 >= WEAKENED
+    known, strength = found[clear], forces[clear]
+    fundamental = _fundamental(known, strength, shown=strength * gain[clear], ordinate=ordinate)
+    if fundamental is None:
+        return LoadTones(tuple(sorted(known.tolist())))
+
+    def shown(at: float) -> tuple[float, float]:
+        """Force at a harmonic [N], and its evidence [1]."""
+        among = np.flatnonzero(np.abs(found - at) < ordinate)
+        if among.size:
+            return float(forces[among[0]]), np.inf
+        amplitude, evidence = left.at(2 * np.pi * at * interval)
+        return amplitude / float(np.abs(dynamics.response(np.array([at])))[0]), evidence
+
+    # a load that is the same upwards and downwards has odd harmonics alone
+    odd = known.size > 1 and bool((np.rint(known / fundamental) % 2 == 1).all())
+    apart = 2 if odd else 1
+    harmonics = np.asarray(fundamental * np.arange(1, int(highest / fundamental) + 1, apart), dtype=np.float64)
+    harmonics = harmonics[may_be(harmonics, of_mains=known.size > 1)]
+    series = _series(harmonics, shown, apart=apart * fundamental, most=NO_STRONGER * float(strength.max()))
+    return series if len(series.frequencies) <= most else LoadTones()
+
+
+def _series(
+    harmonics: Array, shown: Callable[[float], tuple[float, float]], *, apart: float, most: float
+) -> LoadTones:
+    """The harmonics of a load that are seen, up to where they end.
+
+    Parameters
+    ----------
+    harmonics
+        Frequencies at which they may be, shape (m,) [Hz].
+    shown
+        Gives the force at one [N] and its evidence [1].
+    apart
+        Distance of neighbours [Hz].
+    most
+        Largest force that is taken for one of them [N].
+    """
+    taken, forces = list[float](), list[float]()
+    hidden, expected, missed, odds = 0.0, 0.0, 0, GOES_ON
+    for at in harmonics.tolist():
+        force, evidence = shown(at)
+        if evidence > EVIDENCE_OF_HARMONIC[missed > 0] and 0 < force <= most:
+            taken.append(at)
+            forces.append(force)
+            missed, odds = 0, GOES_ON
+        elif taken:
+            missed += 1
+            falls = forces[-1] * (taken[-1] / at) ** 2  # as those of a load with kinks
+            # power over that of noise, which has an exponential distribution: of noise alone, and of what falls so
+            power = evidence / 3
+            ratio = power * falls**2 / max(force**2, 1e-300)
+            odds *= float(np.exp(power * ratio / (1 + ratio))) / (1 + ratio)
+            expected += falls**2 / 2
+            hidden += odds / (1 + odds) * min(force, falls) ** 2 / 2
+            if missed == ENDED:
+                # all beyond, the sum of n^-4, as far as the ones that are looked at may be there
+                hidden += hidden / expected * falls**2 / 2 * at / (3 * apart)
+                break
+    middle = len(taken) // 2  # noise makes no difference yet
+    if len(taken) > PARTS and (missed == 0 or forces[middle] > forces[0] * (taken[0] / taken[middle]) ** JUMPS):
+        return LoadTones()  # a load that jumps has harmonics beyond all frequencies
+    return LoadTones(tuple(taken), float(np.sqrt(hidden)))
+
+
+def _fundamental(tones: Array, strength: Array, *, shown: Array, ordinate: float) -> float | None:
+    """The largest frequency of which all tones are multiples [Hz]; None where there is none.
+
+    Parameters
+    ----------
+    tones
+        Frequencies, shape (m,) [Hz].
+    strength, shown
+        Their forces, of which the strongest is one of the lowest harmonics, and amplitudes in the reading, (m,) [N].
+    ordinate
+        What the record resolves [Hz].
+    """
+    if not tones.size:
+        return None
+    leader = float(tones[np.argmax(strength)])
+    for number in range(1, PARTS + 1):
+        numbers = np.rint(tones * number / leader)
+        if leader / number < LOWEST * ordinate:
+            return None
+        if (numbers < 1).any():
+            continue
+        # the strongest and the highest tell it best
+        weight = (numbers * shown) ** 2
+        refined = float(np.sum(weight * tones / numbers) / np.sum(weight))
+        reach = np.where(shown > FAINT * shown.max(), *SAME) * ordinate
+        if np.all(np.abs(tones - numbers * refined) < reach):
+            return refined
+    return None
+
+
+@dataclass(slots=True, eq=False)
+class _Tone:
+    """A tone: its frequency [rad/sample], and its cosine and sine from the middle of the record, shape (2,) [N]."""
+
+    rate: float
+    sizes: Array
+
+    @property
+    def amplitude(self) -> float:
+        """Its amplitude [N]."""
+        return float(np.hypot(*self.sizes))
+
+
+@dataclass(slots=True, eq=False)
+class _Left:
+    """What tones leave of readings.
+
+    Attributes
+    ----------
+    left
+        Readings less the tones, shape (n,) [N].
+    searched
+        Ordinates at which a tone may be, shape (n // 2 + 1,).
+    gain
+        Square of the balance's response at all of them, of that shape [1].
+    taper
+        Window under which they are looked at, shape (n,).
+    time
+        Samples from the middle of the record, shape (n,).
+    tones
+        The tones that were found.
+    """
+
+    left: Array
+    searched: NDArray[np.bool_]
+    gain: Array
+    taper: Array
+    time: Array
+    tones: list[_Tone]
+
+    @classmethod
+    def of(cls, values: Array, searched: NDArray[np.bool_], gain: Array) -> _Left:
+        count = values.size
+        time = np.asarray(np.arange(count) - 0.5 * (count - 1), dtype=np.float64)
+        return cls(values, searched, gain, hann(count), time, [])
+
+    def take_next(self) -> bool:
+        """Take out the tone that stands out most of its surroundings; whether there was one."""
+        count = self.left.size
+        spectrum = rfft(self.left * self.taper)
+        power = np.abs(spectrum) ** 2
+        whole = power.size // BLOCK
+        if not whole:
+            return False
+        level = np.median(power[: whole * BLOCK].reshape(whole, BLOCK), axis=1) / np.log(2)
+        around = np.append(np.repeat(level, BLOCK), np.full(power.size - whole * BLOCK, level[-1]))
+        over = np.where(self.searched, power / np.maximum(around, 1e-300), 0.0)
+        while True:
+            place = int(np.argmax(over))
+            if over[place] < EVIDENCE / 3:
+                return False
+            near = slice(max(place - WIDTH, 0), place + WIDTH + 1)
+            beside = self._surroundings(power, place)
+            if power[place] >= EVIDENCE / 3 * beside:
+                rate, after = nearest_sine(spectrum[:, None], place, count)
+                if after < max(LEFT * power[near].sum(), BY_CHANCE * (2 * WIDTH + 1) * beside):
+                    break
+            over[near] = 0.0
+            self.searched[near] = False
+        self._take(rate)
+        self.searched[near] = False
+        return True
+
+    def _surroundings(self, power: Array, place: int) -> float:
+        """Mean power beside a place: that of the stronger side, by its median, as other tones may stand there.
+
+        Beside a resonance it is what a force there would make of it, where that is more.
+        """
+        first, last = BESIDE
+        levels = []
+        for side in (slice(max(place - last + 1, 1), max(place - first + 1, 1)), slice(place + first, place + last)):
+            if power[side].size:
+                of_force = power[side] / self.gain[side] * self.gain[place]
+                levels += [float(np.median(one)) / float(np.log(2)) for one in (power[side], of_force)]
+        return max(levels)
+
+    def _take(self, rate: float) -> None:
+        both = np.column_stack([np.cos(rate * self.time), np.sin(rate * self.time)])
+        shown = both * self.taper[:, None]
+        sizes = np.linalg.solve(shown.T @ shown, shown.T @ (self.left * self.taper))
+        self.left = np.asarray(self.left - both @ sizes, dtype=np.float64)
+        self.tones.append(_Tone(rate, np.asarray(sizes, dtype=np.float64)))
+
+    def refine(self) -> None:
+        """Find each frequency again beside the other tones."""
+        count = self.left.size
+        for _ in range(TURNS):
+            for tone in [self.tones.pop(0) for _ in range(len(self.tones))]:
+                angle = tone.rate * self.time
+                self.left = self.left + tone.sizes[0] * np.cos(angle) + tone.sizes[1] * np.sin(angle)
+                place = round(tone.rate * count / (2 * np.pi))
+                self._take(nearest_sine(rfft(self.left * self.taper)[:, None], place, count)[0])
+
+    def at(self, rate: float) -> tuple[float, float]:
+        """Amplitude [N] and evidence [1] of a further tone at a frequency [rad/sample]."""
+        count = self.left.size
+        transform = abs(np.sum(self.left * self.taper * np.exp(-1j * rate * self.time)))
+        power = np.abs(rfft(self.left * self.taper)) ** 2
+        beside = self._surroundings(power, round(rate * count / (2 * np.pi)))
+        return float(2 * transform / np.sum(self.taper)), float(3 * transform**2 / max(beside, 1e-300))

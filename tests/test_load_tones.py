@@ -1,0 +1,127 @@
+"""Steady tones of a load: a rotor's harmonics, a triangular wave, and what looks like tones and is none."""
+
+import numpy as np
+import pytest
+
+import aerobalance as ab
+from aerobalance.estimation.force_smoother import forces_of_tones
+from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.spectra.line_noise import columns_of_lines
+from aerobalance.estimation.spectra.load_tones import load_tones
+from aerobalance.recording.channel import Channel
+from aerobalance.recording.doubts import Verdict
+from helpers.cable_cut import T128
+from seeds import trials
+
+RATE, COUNT, NOISE = 1600.0, 4000, 2.0
+TIME = np.arange(COUNT) / RATE
+
+
+def tones_of(amplitudes, fundamental, rng):
+    """Forces and readings under harmonics of some amplitudes [N], in phases drawn."""
+    frequency = fundamental * np.arange(1, len(amplitudes) + 1)
+    phasors = np.array(amplitudes) * np.exp(1j * rng.uniform(0, 2 * np.pi, len(amplitudes)))
+    turning = np.exp(2j * np.pi * np.outer(TIME, frequency))
+    return (turning @ phasors).real, (turning @ (phasors * T128.response(frequency))).real
+
+
+def run_of(load, rng):
+    noisy = load + rng.normal(0, NOISE, load.size)
+    return ab.Recording.from_columns(TIME, {"AF": Channel("AF", noisy, "N")})
+
+
+def seen_in(load, rng, *, hum=()):
+    return load_tones(load + rng.normal(0, NOISE, load.size), 1 / RATE, T128, hum=hum)
+
+
+@pytest.mark.parametrize("fundamental", [7.3, 10.0, 23.0])
+@pytest.mark.soak(first=1)
+def test_harmonics_of_a_rotor_are_found_to_what_noise_leaves(fundamental, rng):
+    """Of a tone of known frequency noise leaves 2 s^2 / n over |G|^2; its frequency adds as much at most."""
+    amplitudes = 100.0 / np.arange(1, 9)
+    frequency = fundamental * np.arange(1, 9)
+    bound = np.sqrt(np.sum(2 * NOISE**2 / COUNT / np.abs(T128.response(frequency)) ** 2) + NOISE**2 / COUNT)
+    errors = []
+    for _ in range(trials(3, 11)):
+        force, load = tones_of(amplitudes, fundamental, rng)
+        found = ab.estimate_force(run_of(load, rng), T128)
+        errors.append(np.sqrt(np.mean((found.only.values - force) ** 2)))
+        # the root of chi-square with 16 degrees of freedom and more is 1.6 of its mean once in a thousand
+        assert errors[-1] < 1.6 * np.sqrt(np.mean(found.only.uncertainty**2))
+        assert found.verdict is Verdict.FIT, found.doubts
+        taken = [tone.frequency for tone in found.only.tones]
+        # one within four half widths of the resonance may be a free oscillation, and is left to the spectrum
+        beside = np.abs(frequency / T128.natural_frequency - 1) < 4 * T128.damping_ratio
+        assert taken[: 8 - beside.sum()] == pytest.approx(frequency[~beside], abs=0.1 / COUNT * RATE)
+    # in one of fifty records noise makes a ninth harmonic
+    assert np.median(errors) < 1.6 * np.sqrt(2) * bound
+
+
+@pytest.mark.parametrize("height", [100.0, 1000.0])
+@pytest.mark.soak(first=1)
+def test_what_noise_hides_of_a_triangular_wave_is_counted(height, rng):
+    odd = np.arange(1, 160, 2)
+    amplitudes = np.zeros(159)
+    amplitudes[odd - 1] = 8 / np.pi**2 * height / odd**2
+    for _ in range(trials(2, 10)):
+        _, load = tones_of(amplitudes, 4.0, rng)
+        seen = seen_in(load, rng)
+        number = np.rint(np.array(seen.frequencies) / 4.0).astype(int)
+        assert (number % 2 == 1).all()
+        left = amplitudes.copy()
+        left[number - 1] = 0.0
+        # it goes by the last one that is seen, which stands out of noise by 3 to 5 of its deviation
+        assert 1 / 3 < seen.hidden / np.sqrt(np.sum(left**2) / 2) < 3
+
+
+def test_a_square_wave_has_no_tones(rng):
+    wave = 200.0 * np.sign(np.sin(2 * np.pi * 5.0 * (TIME + 0.013)))
+    spectrum = np.fft.rfft(np.concatenate([wave, wave[::-1]]))
+    load = np.fft.irfft(spectrum * T128.response(np.fft.rfftfreq(2 * COUNT, 1 / RATE)), 2 * COUNT)[:COUNT]
+    assert seen_in(load, rng).frequencies == ()
+
+
+@pytest.mark.parametrize("band", [None, 20.0, 60.0, 100.0])
+def test_loads_without_tones_have_none(band, rng):
+    frequency = np.fft.rfftfreq(COUNT, 1 / RATE)
+    for _ in range(trials(20, 200)):
+        load = np.zeros(COUNT)
+        if band is not None:
+            lines = (rng.normal(size=frequency.size) + 1j * rng.normal(size=frequency.size)) * (frequency < band)
+            load = np.fft.irfft(lines * T128.response(frequency), COUNT)
+            load *= 60.0 / load.std()
+        assert seen_in(load, rng).frequencies == ()
+
+
+def test_a_free_oscillation_is_no_tone(rng):
+    slow = ab.Dynamics("AF", mass=20.48, stiffness=3.561e6, damping=5.0)
+    ring = 300.0 * np.cos(slow.angular_frequency * TIME) * np.exp(-slow.decay_rate * TIME)
+    noisy = ring + rng.normal(0, NOISE, COUNT)
+    assert load_tones(noisy, 1 / RATE, slow).frequencies == ()
+
+
+def test_a_line_far_above_the_resonance_is_a_tone_as_a_harmonic_alone(rng):
+    # 1 N at 300 Hz in the reading would be 19 N; as the sixth harmonic of 50.3 Hz it is one
+    line = np.sin(2 * np.pi * 301.8 * TIME)
+    assert seen_in(line, rng).frequencies == ()
+    tone = 30.0 * np.sin(2 * np.pi * 21.0 * TIME)
+    assert seen_in(line + tone, rng).frequencies == pytest.approx([21.0], abs=0.01)
+    _, load = tones_of([100.0, 50.0, 25.0, 20.0, 15.0, 19.0], 50.3, rng)
+    assert seen_in(load, rng).frequencies == ()  # all of its tones where the balance strengthens it are near the mains
+    _, load = tones_of([100.0, 50.0, 25.0, 20.0, 15.0, 19.0], 46.0, rng)
+    assert seen_in(load, rng).frequencies == pytest.approx(46.0 * np.arange(1, 7), abs=0.01)
+
+
+def test_the_mains_are_a_tone_among_harmonics_alone(rng):
+    hum = 5.0 * np.sin(2 * np.pi * 50.02 * TIME)
+    assert seen_in(hum, rng).frequencies == ()
+    _, load = tones_of(100.0 / np.arange(1, 7), 10.0, rng)
+    assert seen_in(load, rng).frequencies == pytest.approx(10.0 * np.arange(1, 7), abs=0.01)
+
+
+def test_forces_of_tones_are_what_makes_them_in_the_reading():
+    tones = (8.0, 40.0, 120.0)  # whole numbers of periods in the record
+    reading = Observation(np.zeros(COUNT), 1 / RATE, T128, tones=tones)
+    response = T128.response(np.fft.rfftfreq(COUNT, 1 / RATE))
+    shown = np.fft.irfft(np.fft.rfft(forces_of_tones(reading), axis=0) * response[:, None], COUNT, axis=0)
+    assert shown == pytest.approx(columns_of_lines(tones, count=COUNT, interval=1 / RATE), abs=1e-9)
