@@ -212,3 +212,28 @@ def test_noise_that_was_not_given_is_departed_from_by_nothing(rng):
     # 4000 readings tell a power to 2.2 %: four times what was given departs from it, by 1 / 4 to within 5 of these
     assert departure_of(replace(reading, noise=4.0)) == pytest.approx(0.25, rel=0.11)
     assert departure_of(replace(reading, noise=2.0)) is None
+
+
+@pytest.mark.parametrize("factor", [0.1, 0.75, 10.0])
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+def test_noise_that_a_channel_states_wrong_is_judged_from_the_run(rng, factor):
+    """The force is that without the statement: with a tenth of the noise the rest would be taken for force."""
+    felt, force = load_of_band(rng, 60, rms=60)
+    values = felt + rng.normal(0, 2, N)
+    plain = estimate_force(record_of(values), T128).only
+    found = estimate_force(record_of(values, noise=2.0 * factor), T128)
+    assert np.array_equal(found.only.values, plain.values)
+    assert np.array_equal(found.only.uncertainty, plain.uncertainty)
+    assert np.std(found.only.values - force) < 1.3 * np.sqrt(np.mean(plain.uncertainty**2))
+    # a factor of less than 1.4 may be that of a rounded number
+    assert [doubt.kind for doubt in found.doubts] == (["noise level"] if factor != 0.75 else [])
+    assert found.verdict == "fit for use"
+
+
+def test_noise_that_a_channel_states_holds_where_a_force_hides_it(rng):
+    """A force up to half the rate looks like noise: the number tells them apart, which the run does not deny."""
+    felt, _ = load_of_band(rng, 0.95 * RATE / 8, rms=60)
+    values = felt[::4] + rng.normal(0, 0.5, N // 4)
+    reading = Observation(values - values.mean(), 4 / RATE, T128, noise=0.5)
+    assert departure_of(reading) is not None
+    assert departure_of(reading, stated=True) is None

@@ -67,6 +67,10 @@ HIDDEN_HARMONICS: Final = "harmonics of the load that noise hides"
 BEYOND_THE_BAND: Final = "force beyond the band, and at the ends"
 """Name of the error of a direct inverse where the force is too fast for it or its past or future is not recorded."""
 
+TOLD: Final = 0.7
+"""Logarithm of the ratio of powers from which on it is told that a channel states another noise than the run has: of
+less a number rounded to one digit may be off."""
+
 LONGEST_REACH: Final = 256
 """Samples beside something sudden, at most, in which the force goes wrong with it."""
 
@@ -382,20 +386,26 @@ def _words_on_noise(record: ComponentRecord, learned: SpectralPrior) -> str:
 
 def _with_noise(record: ComponentRecord) -> tuple[Observation, tuple[Doubt, ...]]:
     """The reading with the noise that was given, unless its white part is not that of the run, and what that says."""
-    reading = record.reading()
-    ratio = None if record.noise is None else departure_of(reading)
+    reading, stated = record.reading(), record.noise is None
+    ratio = departure_of(reading, stated=stated) if record.shared is None else None
     if ratio is None:
         return reading, ()
+    judged = replace(reading, noise=None)
+    if stated and abs(np.log(ratio)) < TOLD:
+        return judged, ()
     name = record.dynamics.component
-    doubt = Doubt(
-        "noise level",
-        name,
-        f"the white noise of {name} has {ratio:.2g} times the power that it has in the record of "
-        "noise, as another gain, filter or cabling, or a force of a very wide band, would make it; it is judged from "
-        "the run, and what the noise has beyond white is taken as recorded",
-        unit=si_unit(name),
-    )
-    return replace(reading, noise=None), (doubt,)
+    unit, text = si_unit(name), f"the white noise of {name} has {ratio:.2g} times the power that "
+    if stated:
+        text += (
+            f"its channel states ({reading.noise:.3g} {unit} a reading), as another gain or unit, or a force of a "
+            "very wide band, would make it; it is judged from the run"
+        )
+    else:
+        text += (
+            "it has in the record of noise, as another gain, filter or cabling, or a force of a very wide band, would "
+            "make it; it is judged from the run, and what the noise has beyond white is taken as recorded"
+        )
+    return judged, (Doubt("noise level", name, text, effect=0.0 if stated else None, unit=unit),)
 
 
 def _search_ended(search: StepSearch) -> Doubt:

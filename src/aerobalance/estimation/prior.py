@@ -284,8 +284,7 @@ def evenly_weighted(reading: Observation, *, columns: Array) -> Observation:
     found = []
     for one in (reading, even):
         learned = refine_edges(one, fit_prior(one, columns=columns), columns=columns)
-        price = 0.5 * learned.spectrum.parameters * float(np.log(one.values.size))
-        found.append(log_likelihood(one, _filter(one, learned), columns=columns) - price)
+        found.append(evidence_of_prior(one, learned, columns=columns))
     return even if found[1] > found[0] + UNEVEN_EVIDENCE else reading
 
 
@@ -445,3 +444,9 @@ def log_likelihood(reading: Observation, filter_: KalmanFilter, *, columns: Arra
     """Logarithm of the likelihood of a filter's innovations, the sizes of the columns at their best."""
     *_, squares = generalised_least_squares(filter_, reading.filled, columns)
     return -0.5 * (filter_.log_determinant + squares)
+
+
+def evidence_of_prior(reading: Observation, learned: SpectralPrior, *, columns: Array) -> float:
+    """Log-likelihood of a reading by what was learned, less Schwarz's price of the spectrum's parameters."""
+    price = 0.5 * learned.spectrum.parameters * float(np.log(reading.values.size))
+    return log_likelihood(reading, _filter(reading, learned), columns=columns) - price

@@ -26,7 +26,7 @@ KINDS: Final[Mapping[str, str]] = {
     "stuck channel": "a channel repeats the same reading, for some time or all along",
     "clipping": "readings rest on a limit",
     "zero": "the bridges moved by more than they drift: while a zero was read, between two, or since the calibration",
-    "noise level": "the noise of the readings is not that of the record of noise",
+    "noise level": "the noise of the readings is not that of the record of noise, or that its channel states",
     "colored noise": "the noise of the readings may not be white",
     "hum": "a line at a frequency of the mains is taken for force, and may be hum",
     "faint force": "the noise hides a force that is taken for constant",

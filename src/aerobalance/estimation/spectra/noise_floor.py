@@ -14,7 +14,13 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.estimation.prior import BESIDE_A_GAP, Observation, fit_prior, periodogram_of
+from aerobalance.estimation.prior import (
+    BESIDE_A_GAP,
+    Observation,
+    evidence_of_prior,
+    fit_prior,
+    periodogram_of,
+)
 from aerobalance.estimation.spectra.noise_spectrum import ShapedNoise
 from aerobalance.estimation.spectra.periodogram import Periodogram, share_seen
 from aerobalance.estimation.spectra.piecewise_psd import WEAKENED, NoiseLevels, fit_noise_levels
@@ -31,6 +37,10 @@ DECISIVE: Final = 10.0
 
 DIFFERENT: Final = 1.5
 """Ratio of largest to least density of a noise below which it is taken for white: u is then right to a fifth."""
+
+STATED_EVIDENCE: Final = 25.0
+"""Gain in log-likelihood of the innovations for which the level of a run's noise is that of the run, where its channel
+states another: a force that reaches half the sampling rate looks like noise by its level alone."""
 
 DEPARTURE: Final = 0.2
 """Logarithm of the ratio of powers above which the noise of a run differs from that of the record of noise."""
@@ -246,16 +256,31 @@ def lasts(left: Array, *, first: float, interval: float, noise: float, last: flo
     return bool(middle - white > LASTING * (power.mean() - white) - 3 * scatter)
 
 
-def departure_of(reading: Observation) -> float | None:
+def departure_of(reading: Observation, *, stated: bool = False) -> float | None:
     """Power of a run's white noise over that of the noise that was given for it [1]; None where they agree.
 
     Where they do not, the noise of the run has to be learned from the run: if it were taken as given, what is beyond
     it would be taken for force.
+
+    Parameters
+    ----------
+    reading
+        The run, with the noise that was given.
+    stated
+        Whether that is a number, and not from a record of noise: the run must then be clearly likelier without it.
     """
     if reading.noise is None:
         return None
-    count = reading.values.size
-    free = fit_prior(replace(reading, noise=None), columns=np.ones((count, 1)))
-    ratio = (free.noise / reading.noise) ** 2
+    constant = np.ones((reading.values.size, 1))
+    own = replace(reading, noise=None)
+    free = fit_prior(own, columns=constant)
+    ratio = (free.noise / max(reading.noise, reading.least_noise)) ** 2
     chance = float(np.sqrt(2 / np.count_nonzero(reading.present)))
-    return None if abs(np.log(ratio)) < max(DEPARTURE, 6 * chance) else ratio
+    if abs(np.log(ratio)) < max(DEPARTURE, 6 * chance):
+        return None
+    if stated:
+        held = fit_prior(reading, columns=constant)
+        gain = evidence_of_prior(own, free, columns=constant) - evidence_of_prior(reading, held, columns=constant)
+        if gain < STATED_EVIDENCE:
+            return None
+    return ratio
