@@ -42,6 +42,12 @@ STATED_EVIDENCE: Final = 25.0
 """Gain in log-likelihood of the innovations for which the level of a run's noise is that of the run, where its channel
 states another: a force that reaches half the sampling rate looks like noise by its level alone."""
 
+NO_NOISE: Final = 1e-6
+"""Noise over the largest reading below which they are computed: what is stated of their noise then holds."""
+
+FAST: Final = 0.375
+"""Frequency over the sampling rate from which on it is looked whether noise above what was stated lasts all along."""
+
 DEPARTURE: Final = 0.2
 """Logarithm of the ratio of powers above which the noise of a run differs from that of the record of noise."""
 
@@ -279,6 +285,12 @@ def departure_of(reading: Observation, *, stated: bool = False) -> float | None:
     if abs(np.log(ratio)) < max(DEPARTURE, 6 * chance):
         return None
     if stated:
+        if free.noise < NO_NOISE * float(np.nanmax(np.abs(reading.values))):
+            return None
+        left = interpolate_gaps_linearly(reading.values, beside=BESIDE_A_GAP)
+        first = FAST / reading.interval
+        if ratio > 1 and not lasts(left, first=first, interval=reading.interval, noise=reading.noise):
+            return None
         held = fit_prior(reading, columns=constant)
         gain = evidence_of_prior(own, free, columns=constant) - evidence_of_prior(reading, held, columns=constant)
         if gain < STATED_EVIDENCE:
