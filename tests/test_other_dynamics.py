@@ -16,8 +16,9 @@ from aerobalance.estimation.checks.local_modes import SETTINGS, Averaged, missin
 from aerobalance.estimation.checks.model_error import LEFT_OPEN, error_under
 from aerobalance.estimation.checks.near_resonance import near_resonance
 from aerobalance.estimation.checks.other_dynamics import OtherDynamics, _if_changed, other_dynamics_in, without_steps
+from aerobalance.estimation.checks.step_ringing import change_by_steps
 from aerobalance.estimation.force import estimate_force
-from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.prior import Observation, fit_prior
 from aerobalance.estimation.steps import Step
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.recording.channel import Array, Channel
@@ -532,3 +533,11 @@ def test_steps_soon_after_the_begin_are_not_taken_for_its_free_oscillation(count
     left = without_steps(Observation(load + rng.normal(0, noise, time.size), 1 / rate, T128), steps)
     # the root of a mean square of n scatters by 1 / sqrt(2 n)
     assert np.sqrt(np.mean(left**2)) == pytest.approx(noise, rel=5 / np.sqrt(2 * time.size))
+
+
+def test_a_step_that_has_not_begun_to_ring_tells_nothing(rng):
+    reading = Observation(rng.normal(0, 2, 1000), 1 / RATE, T128)
+    learned = fit_prior(reading, columns=np.ones((1000, 1)))
+    change = change_by_steps(reading, [Step(999.5 / RATE, 0.0, 500.0)], learned)
+    assert change.gain == 0
+    assert not change.change.any()
