@@ -14,7 +14,7 @@ from aerobalance.recording.channel import QUANTITIES, Channel, CrossAxis
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.sensors import LEAST_GAIN, corrected
+from aerobalance.recording.sensors import LEAST_GAIN, corrected, late_samples
 from helpers.cable_cut import T128
 
 RATE = 1600.0
@@ -215,3 +215,48 @@ def test_gain_and_zero_of_the_load_channel_count(method):
 def test_impossible_settings_are_refused(make, said):
     with pytest.raises(ValueError, match=said):
         make()
+
+
+def behind(low_pass: AntiAlias, generator: np.random.Generator) -> tuple[Recording, np.ndarray]:
+    """Balance load under a flat force of 0-100 Hz and 60 N, read behind a filter that is stated, and the force.
+
+    A part of a period of twice its length, so that nothing is known of what comes after it.
+    """
+    count, length = 2 * TIME.size, TIME.size
+    frequency = np.fft.rfftfreq(count, 1 / RATE)
+    inside = (frequency > 0) & (frequency <= 100)
+    phasors = np.where(inside, generator.normal(size=inside.size) + 1j * generator.normal(size=inside.size), 0)
+    phasors *= 60 * count / (2 * np.sqrt(inside.sum()))
+    force = np.fft.irfft(phasors, count)[:length]
+    load = np.fft.irfft(phasors * T128.response(frequency) * low_pass.response(frequency), count)[:length]
+    return record(AF=(load + generator.normal(0, 2, length), {"filter": low_pass})), force
+
+
+@pytest.mark.filterwarnings("ignore:.* was read behind a bessel low-pass of order 4 at 100 Hz")
+def test_what_a_filter_takes_off_a_force_is_counted(rng):
+    """At 100 Hz a filter with that corner leaves 0.71, of which no more than a tenth is made up for."""
+    run, force = behind(AntiAlias("bessel", 4, 100.0), rng)
+    found = estimate_force(run, T128)
+    off = np.sqrt(np.mean((found.only.values - force) ** 2))
+    assert off > 5  # without the filter it is 0.7 N
+    (doubt,) = found.doubts
+    assert (doubt.kind, found.verdict) == ("filter gain", "doubtful")
+    assert doubt.effect == pytest.approx(off, rel=0.3)
+    assert 0.7 < off / np.sqrt(np.mean(found.only.uncertainty**2)) < 1.4
+
+
+@pytest.mark.parametrize("kind", ["bessel", "butterworth"])
+def test_the_end_behind_a_filter_is_no_step(rng, kind):
+    """A filter is late: what its inverse asks for at the end has not been read, and is no sudden force there."""
+    for _ in range(4):
+        run, force = behind(AntiAlias(kind, 4, 400.0), rng)
+        found = estimate_force(run, T128).only
+        assert not found.steps
+        assert not [doubt for doubt in found.doubts if doubt.kind == "filter gain"]
+        assert np.max(np.abs(found.values - force)[-40:] / found.uncertainty[-40:]) < 5
+
+
+def test_only_the_last_readings_are_late():
+    """Bessel of order 2 and corner c: 3 / (s^2 + 3 s + 3) is late by 1, in units of (sqrt(45) - 3)^0.5 / 2^0.5 / w."""
+    late = np.sqrt((np.sqrt(45.0) - 3) / 2) / (2 * np.pi * 100.0)
+    assert late_samples(AntiAlias("bessel", 2, 100.0), 1e6) == np.ceil(late * 1e6)

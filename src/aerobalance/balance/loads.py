@@ -436,9 +436,14 @@ def _with_loads(recording: Recording, felt: Loads) -> Recording:
         noise = float(felt.noise[index])
         channels[name] = Channel(name, felt.values[:, index], unit, noise=noise or None, delay=delay, file_unit=unit)
     declared = recording.declared | (set(felt.components) if gauges and gauges <= recording.declared else set())
+    # every bridge has a part in every load: the lowest filter of theirs is what limits it
+    own = [recording.low_passed[name] for name in gauges if name in recording.low_passed]
+    lowest = min(own, key=lambda one: one.corner, default=None)
+    low_passed = dict.fromkeys(felt.components, lowest) if lowest is not None else recording.low_passed
     return replace(
         recording,
         channels=channels,
+        low_passed=low_passed,
         gravity_on_zero=felt.zero.pull,
         from_outputs=True,
         declared=declared,

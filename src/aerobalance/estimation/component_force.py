@@ -20,7 +20,7 @@ from aerobalance.estimation.checks.ground_channels import GroundFault
 from aerobalance.estimation.checks.ground_doubts import ground_doubts
 from aerobalance.estimation.checks.ground_witnesses import SETTINGS as GROUND_CHANNELS
 from aerobalance.estimation.checks.mains_hum import hum_doubts
-from aerobalance.estimation.checks.model_error import as_noise
+from aerobalance.estimation.checks.model_error import as_noise, error_behind
 from aerobalance.estimation.checks.resolution import resolution_doubt, rounding_error
 from aerobalance.estimation.checks.unexplained import excess_of, missed_force, sudden_excess
 from aerobalance.estimation.direct import band_limited, central_differences, missed
@@ -41,14 +41,16 @@ from aerobalance.estimation.spectra.line_noise import Hum, Line
 from aerobalance.estimation.spectra.noise_floor import departure_of
 from aerobalance.estimation.spectra.noise_record import noise_spectrum_of
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
+from aerobalance.estimation.statespace.kalman import FORCE
 from aerobalance.estimation.step_search import RINGS, StepSearch
 from aerobalance.estimation.steps import columns_of
 from aerobalance.motion.platform import SystematicParameter
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
-from aerobalance.recording.doubts import Doubt
+from aerobalance.recording.doubts import DOUBTED, Doubt
 from aerobalance.recording.errors import FitError, argument, warn_quality
 from aerobalance.recording.noise import step_of
+from aerobalance.recording.sensors import load_gain_left
 
 Method = Literal["smoother", "paper"]
 
@@ -70,6 +72,9 @@ BEYOND_THE_BAND: Final = "force beyond the band, and at the ends"
 TOLD: Final = 0.7
 """Logarithm of the ratio of powers from which on it is told that a channel states another noise than the run has: of
 less a number rounded to one digit may be off."""
+
+FILTER_MATTERS: Final = 0.5
+"""What a filter takes off the force over its uncertainty, from which on it is worth a word."""
 
 LONGEST_REACH: Final = 256
 """Samples beside something sudden, at most, in which the force goes wrong with it."""
@@ -290,7 +295,7 @@ class Fitted:
         if signal.hidden:
             hidden = np.full(reading.values.size, signal.hidden)
             errors.append(Noise(HIDDEN_HARMONICS, record.dynamics.component, hidden, np.ones(1)))
-        for told, unseen in self._unseen(errors):
+        for told, unseen in (*self._behind_filter(errors), *self._unseen(errors)):
             errors += unseen
             doubts += told
         return record.finish(
@@ -329,6 +334,31 @@ class Fitted:
             if not any(abs(line.frequency - hum.frequency) < resolved + hum.width * hum.frequency for hum in known)
         )
 
+    def _behind_filter(self, errors: Sequence[Contribution]) -> Iterator[tuple[list[Doubt], list[Contribution]]]:
+        """What the filter of the load takes off the force that is not made up for."""
+        record, fit = self.record, self.smoothed
+        name, smooth = record.dynamics.component, fit.states[:, FORCE]
+        low_pass = record.recording.low_passed.get(name)
+        if low_pass is None:
+            return
+        error = error_behind(smooth, fit.force - smooth, low_pass, own=record.dynamics, interval=record.interval)
+        effect, rest = (float(np.sqrt(np.mean(one**2))) for one in (error, _deviation(errors)))
+        period = 1 / record.dynamics.natural_frequency
+        noise = as_noise(error, name=f"{DOUBTED}filter gain", period=period, interval=record.interval)
+        if effect < FILTER_MATTERS * rest:
+            yield [], [noise]
+            return
+        frequency = np.linspace(0, 0.5 / record.interval, FREQUENCIES)
+        whole = float(frequency[np.flatnonzero(load_gain_left(low_pass, frequency) > 1 - 1e-9)[-1]])
+        unit = si_unit(name)
+        text = (
+            f"{name} was read behind a {low_pass}, which is undone in full up to {whole:.3g} Hz: beyond, its noise "
+            "would be raised with it and pass for force. The force has power there, of which the filter takes off "
+            f"{effect:.3g} {unit} rms; that is in the uncertainty"
+        )
+        advice = "record with a filter of a higher corner, above twice the highest frequency of the force"
+        yield [Doubt("filter gain", name, text, advice, effect, unit)], [noise]
+
     def _unseen(self, errors: Sequence[Contribution]) -> Iterator[tuple[list[Doubt], list[Contribution]]]:
         """What the record leaves open of noise with a color, of a force that noise or a converter hide, and of hum."""
         record, reading, learned = self.record, self.signal.reading, self.signal.learned
@@ -358,6 +388,11 @@ class Fitted:
             rest = float(np.sqrt(sum(np.mean(one.deviation**2) for one in errors)))
             told = resolution_doubt(component, error, step=step, rest=rest, unit=unit)
             yield [told] if told else [], [error]
+
+
+def _deviation(errors: Sequence[Contribution]) -> Array:
+    """Standard uncertainty by some errors, shape (n,) [N]."""
+    return np.asarray(np.sqrt(np.sum([one.deviation**2 for one in errors], axis=0)))
 
 
 def _with_values_of(record: ComponentRecord, reading: Observation) -> Observation:

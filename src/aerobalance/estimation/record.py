@@ -25,6 +25,7 @@ from aerobalance.recording.errors import FitError
 from aerobalance.recording.noise import noise_covariance
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import align_channels, fractional_delay, interpolate_gaps
+from aerobalance.recording.sensors import late_samples
 
 FEWEST_SAMPLES: Final = 32
 """Fewest readings of a component that a force is worked out for."""
@@ -134,6 +135,10 @@ class ComponentRecord(ABC):
         """
         channel = self.recording.channel(self.dynamics.component)
         lost = channel.at_limit | self.before_ground
+        low_pass = self.recording.low_passed.get(channel.name)
+        if low_pass is not None and self.recording.extent.end >= 1:
+            late = late_samples(low_pass, self.recording.rate)
+            lost[max(lost.size - late, 0) :] = True  # the inverse of the filter asks for readings beyond the end
         reading = Observation(
             values=np.where(lost, np.nan, channel.values - self.from_ground),
             interval=self.interval,

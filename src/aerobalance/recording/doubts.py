@@ -29,6 +29,7 @@ KINDS: Final[Mapping[str, str]] = {
     "noise level": "the noise of the readings is not that of the record of noise, or that its channel states",
     "colored noise": "the noise of the readings may not be white",
     "hum": "a line at a frequency of the mains is taken for force, and may be hum",
+    "filter gain": "the filter of a load takes off a part of the force that is not made up for",
     "faint force": "the noise hides a force that is taken for constant",
     "resolution": "the readings have few steps, and too little noise to blur them",
     "too many steps": "there are more steps than are looked for",

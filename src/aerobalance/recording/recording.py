@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from aerobalance.recording.analog_filter import AntiAlias
 from aerobalance.recording.channel import QUANTITIES, Array, Channel, unit_inside
 from aerobalance.recording.components import COMPONENTS, is_gauge, loads_hint
 from aerobalance.recording.errors import FitError, warn_quality
@@ -56,6 +57,8 @@ class Recording:
         Which part of a longer record it is; the whole where it is no part.
     declared
         Channels of which an analog filter was stated, and has been undone.
+    low_passed
+        Filters that have been undone, by the load or gauge output that had them, as far as they leave enough.
     decimated
         Samples of a faster clock that each sample was made of (`aerobalance.recording.decimation`); 1 where none were.
     epoch
@@ -74,6 +77,7 @@ class Recording:
     zero_from_natural: Mapping[str, float] = field(default_factory=dict)
     extent: Extent = field(default_factory=Extent)
     declared: frozenset[str] = frozenset()
+    low_passed: Mapping[str, AntiAlias] = field(default_factory=dict)
     decimated: int = 1
     epoch: np.datetime64 | None = None
     _means: dict[str, float] = field(init=False, default_factory=dict, repr=False)

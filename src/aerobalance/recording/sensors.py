@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.recording.analog_filter import AntiAlias
 from aerobalance.recording.channel import Array, Channel, unit_inside
 from aerobalance.recording.errors import FitError, check_recording
 from aerobalance.recording.recording import Recording
@@ -53,7 +54,8 @@ def corrected(recording: Recording) -> Recording:
     if all(straight[name] is channel for name, channel in recording.channels.items()):
         return recording
     declared = recording.declared | {name for name, one in recording.channels.items() if one.filter is not None}
-    return replace(recording, channels=straight, declared=declared)
+    undone = {name: one.filter for name, one in recording.channels.items() if one.filter and not _is_motion(name)}
+    return replace(recording, channels=straight, declared=declared, low_passed={**recording.low_passed, **undone})
 
 
 def _unfiltered(channel: Channel, recording: Recording) -> Channel:
@@ -65,14 +67,17 @@ def _unfiltered(channel: Channel, recording: Recording) -> Channel:
             return replace(channel, filter=None)
         raise FitError(f"channel {channel.name} has no reading, so its filter cannot be undone")
     filled = interpolate_gaps_linearly(channel.values)
-    motion = unit_inside(channel.name) in ("m/s^2", "rad/s^2", "rad/s", "rad")
-    least = LEAST_GAIN if motion else LEAST_LOAD_GAIN
+    least = LEAST_GAIN if _is_motion(channel.name) else LEAST_LOAD_GAIN
     values = divided(filled, channel.filter.response, rate=rate, least=least)
     # within a period of the corner the filter's memory has faded to a few percent
     near = min(int(np.ceil(rate / channel.filter.corner)), (known.size - 1) // 2)
     if not known.all():
         values[np.convolve(~known, np.ones(2 * near + 1), "same") > 0.5] = np.nan
     return replace(channel, values=values, filter=None)
+
+
+def _is_motion(name: str) -> bool:
+    return unit_inside(name) in ("m/s^2", "rad/s^2", "rad/s", "rad")
 
 
 def _straightened(channel: Channel, channels: dict[str, Channel], recording: Recording) -> Channel:
@@ -121,10 +126,27 @@ def divided(values: Array, transfer: Transfer, *, rate: float, least: float = LE
         response = transfer(frequency)
         size = np.abs(response)
         turn = np.divide(np.conj(response), size, out=np.ones_like(response), where=size > 0)
-        raised = np.maximum(np.minimum(1 / np.maximum(size, least), size / least**2), 1.0)
-        return spectrum * turn * raised
+        return spectrum * turn * _raised(size, least)
 
     return _changed(values, undone, rate)
+
+
+def _raised(size: Array, least: float) -> Array:
+    """Factor by which a gain of some size is made up for."""
+    return np.maximum(np.minimum(1 / np.maximum(size, least), size / least**2), 1.0)
+
+
+def load_gain_left(low_pass: AntiAlias, frequency: Array) -> Array:
+    """Gain that a load has at frequencies [Hz] after its filter has been undone, 1 where in full."""
+    size = np.abs(low_pass.response(frequency))
+    return np.asarray(size * _raised(size, LEAST_LOAD_GAIN))
+
+
+def late_samples(low_pass: AntiAlias, rate: float) -> int:
+    """Samples at the end of a load whose filter has been undone that hang on readings which come after the record."""
+    slow = low_pass.corner / 100
+    late = -float(np.angle(low_pass.response(slow))) / (2 * np.pi * slow)
+    return int(np.ceil(late * rate))
 
 
 def filtered(values: Array, gain: Transfer, *, rate: float, level_over: int = 1) -> Array:
