@@ -19,8 +19,8 @@ from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.doubts import Verdict
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.simulation.six_balance import random_balance
-from faults.scene import band, shaped, soft, together
-from faults.six import HALF_RANGE, SIX, SixScene, balance, drawn, moved, recording_of
+from faults.scene import Clock, band, shaped, soft, together
+from faults.six import HALF_RANGE, NOISE, SIX, SixScene, balance, drawn, felt, moved, recording_of
 from helpers import coupled_pair
 from helpers.shaken_six import shaken
 from seeds import trials
@@ -286,3 +286,46 @@ def test_noise_of_the_grounds_sensors_is_no_ringing(turning, seed):
     for one in range(trials(1, 16)):
         record = shaken(np.random.default_rng([seed, one]), motion=1.0, load=0.02, turning=turning).used
         assert record.force.doubts == ()
+
+
+def wide() -> CoupledDynamics:
+    """Dynamics of a model of 40 kg whose modes lie between 15 and 600 Hz, coupled by 5 %."""
+    mass = np.diag([40.0, 0.6, 40.0, 0.5, 0.05, 40.0])  # kg, kg*m^2
+    for i, j, arm in ((0, 1, -0.8), (2, 3, -0.7), (2, 4, 0.25)):
+        mass[i, j] = mass[j, i] = arm
+    own = 2 * np.pi * np.array([15.0, 40.0, 25.0, 90.0, 250.0, 600.0])
+    coupling = np.triu(np.random.default_rng(0).normal(0, 0.05, (6, 6)), 1)
+    squares, turned = np.linalg.eigh(np.outer(own, own) * (np.eye(6) + coupling + coupling.T))
+    modes = np.linalg.cholesky(mass) @ turned
+    ratios = np.array([0.006, 0.01, 0.02, 0.008, 0.012, 0.015])
+    stiffness, damping = ((modes * one) @ modes.T for one in (squares, 2 * ratios * np.sqrt(squares)))
+    flexibility = np.linalg.inv(stiffness)
+    return CoupledDynamics(COMPONENTS, mass @ flexibility, damping @ flexibility)
+
+
+def turbulence(clock: Clock, rng: np.random.Generator) -> Array:
+    """Load of 0.05 rms with the spectrum of von Karman, a corner at 8 Hz, that a model averages out above 300 Hz."""
+    frequency = clock.frequency
+    density = (1 + (frequency / 8) ** 2) ** (-5 / 6) / (1 + (frequency / 300) ** 6)
+    density[0] = 0
+    phasors = np.sqrt(density) * (rng.normal(size=density.size) + 1j * rng.normal(size=density.size))
+    return np.fft.irfft(phasors, clock.count) * clock.count * 0.05 / np.sqrt(4 * np.sum(density))
+
+
+def test_components_of_very_different_frequencies_are_not_exchanged(rng):
+    """Under turbulence of 8 Hz that falls as f^-5/3 most channels have little but noise far above their own modes."""
+    dynamics = wide()
+    clock = replace(SIX, rate=4000.0, samples=8000, fine=8)
+    for change in (None, None, (0, 2)):
+        force = np.column_stack([turbulence(clock, rng) for _ in COMPONENTS]) * HALF_RANGE
+        values = np.column_stack([clock.sampled(column) for column in felt(dynamics, force, clock).T])
+        values += rng.normal(size=values.shape) * NOISE * HALF_RANGE
+        if change is not None:
+            values[:, change] = values[:, change[::-1]]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DataQualityWarning)
+            found = estimate_force(recording_of(values, clock.rate), dynamics)
+        named = {(doubt.kind, doubt.component) for doubt in found.doubts}
+        wanted = set() if change is None else {("swapped channels", COMPONENTS[place]) for place in change}
+        assert {one for one in named if one[0].startswith("swapped")} == wanted
+        assert (found.verdict == Verdict.FIT) == (change is None)

@@ -18,7 +18,14 @@ import numpy as np
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.estimation.checks.model_error import LEFT_OPEN, as_noise
 from aerobalance.estimation.checks.moved_modes import SETTINGS as MOVED
-from aerobalance.estimation.checks.moved_modes import Moved, OtherShapes, gain_of, moved_together, one_moved
+from aerobalance.estimation.checks.moved_modes import (
+    Moved,
+    OtherShapes,
+    contradicted,
+    gain_of,
+    moved_together,
+    one_moved,
+)
 from aerobalance.estimation.checks.ringing import RingingSpectra, Rows, most_samples, powers_of
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.prior import Observation
@@ -77,7 +84,10 @@ def other_shapes(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherSha
         order = np.arange(count)
         order[list(places)] = places[::-1]
         exchanged.append(("swapped channels", places, own.reordered(order)))
-    gains = [gain_of(ringing.evidence(rows, determinant=volume), known) for _, _, rows in exchanged]
+    found = [ringing.evidence(rows, determinant=volume) for _, _, rows in exchanged]
+    # what is exchanged is so wherever the balance rings. Far above the lowest modes, where most channels have little
+    # but noise, wrong rows may seem likelier: the noise of one channel in all forces is taken for as many noises
+    gains = [-np.inf if contradicted(one, known) else gain_of(one, known) for one in found]
     best = int(np.argmax(gains))
     gain, (kind, places, rows) = gains[best], exchanged[best]
     moved = moved_together(ringing, dynamics, known, least=max(gain, MOVED.moved))

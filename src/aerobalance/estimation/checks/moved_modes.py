@@ -195,7 +195,7 @@ def gain_apart(evidence: Array, known: Array) -> float:
     return float(np.sum(gains) - max(np.max(neighbors), 0.0))
 
 
-def _contradicted(evidence: Array, known: Array) -> bool:
+def contradicted(evidence: Array, known: Array) -> bool:
     """Whether bands speak against what others speak for: modes that have moved are likelier wherever they are."""
     gains = evidence - known
     return float(-np.sum(np.minimum(gains, 0.0))) > SETTINGS.against * float(np.sum(np.maximum(gains, 0.0)))
@@ -222,7 +222,7 @@ def moved_together(
     seen = _evidence(ringing, found)
     gain, apart = gain_of(seen, known), gain_apart(seen, known)
     narrow = gain < least or (apart < SETTINGS.open_from and gain < 2 * least)
-    if (narrow and apart < SETTINGS.open_from) or not found.ringing.any() or _contradicted(seen, known):
+    if (narrow and apart < SETTINGS.open_from) or not found.ringing.any() or contradicted(seen, known):
         return None
     if narrow and apart < SETTINGS.decisive_apart:
         probability = float(expit(SETTINGS.open_steepness * (apart - SETTINGS.open_half)))
