@@ -291,3 +291,25 @@ def test_a_wrong_unit_or_mass_is_asked_about(times, mass, said, rng, tmp_path):
     assert len(texts) == len(said)
     assert all(part in text for part, text in zip(said, texts, strict=True))
     assert not said or force.verdict == "doubtful"
+
+
+def test_packets_that_are_lost_are_stuck(rng):
+    """Four readings that repeat one, of a channel whose noise is 1e5 times what lies between its readings."""
+    places, values = (900, 1500, 2600), ringing(rng)
+    held = values.copy()
+    for place in places:
+        held[place + 1 : place + 5] = held[place]
+    expected = [place + k for place in places for k in range(1, 5)]
+    assert np.flatnonzero(stuck_samples(held)).tolist() == expected
+    # as zeros, and a mean that the signal never leaves at once: the first of them is no reading either
+    lost = values + 20 * np.ptp(np.diff(values))
+    for place in places:
+        lost[place : place + 5] = 0.0
+    assert np.flatnonzero(stuck_samples(lost)).tolist() == [place + k for place in places for k in range(5)]
+
+
+def test_equal_readings_of_steps_and_of_what_is_worked_out_of_them_are_chance(rng):
+    for step in (0.1, 0.5, 2.0, 4.0):
+        values = np.round(rng.normal(0, 1.0, 20_000) / step) * step
+        for one in (values, values * 1.234 + 7.7e3, values - 0.1 * values[0]):
+            assert not stuck_samples(one).any()

@@ -18,6 +18,16 @@ held between the readings of a slower one."""
 LEAST_EQUAL: Final = 1e-3
 """The same that is assumed at least; with it six equal readings in a thousand are stuck."""
 
+FINEST_EQUAL: Final = 1e-6
+"""The same that is assumed at least where noise and resolution of the readings tell it: four equal readings in a
+thousand are then stuck, as a recorder repeats the last one for a packet that is lost."""
+
+ROUNDING: Final = 1e-9
+"""Difference of two readings over the largest one that is no step, but the rounding of what was worked out of them."""
+
+LOST: Final = 1.5
+"""Step into a run over the largest step elsewhere, from which on its first reading is no reading either."""
+
 FEWEST_CHANGES: Final = 8
 """Changes in a record from which on they tell that probability; a channel with fewer was stuck beside them."""
 
@@ -57,7 +67,8 @@ def is_dead(values: Array) -> bool:
 def stuck_samples(values: Array) -> NDArray[np.bool_]:
     """Return which readings repeat the one before them in a run that is no chance, shape (n,).
 
-    The first reading of a run may be sound and is kept. None is told of a channel that never changes (`is_dead`), or
+    The first reading of a run may be sound and is kept, unless it lies farther from the one before than the signal
+    ever moves, as where a lost packet reads zero. None is told of a channel that never changes (`is_dead`), or
     whose readings rest now and then by their nature: of an encoder, held between those of a slower converter, or
     without noise, computed or below the step of the converter, which rest until the load changes.
 
@@ -80,23 +91,50 @@ def stuck_samples(values: Array) -> NDArray[np.bool_]:
     share = first.size / changes if changes >= FEWEST_CHANGES else 0.0
     if share > MOST_EQUAL:
         return found
-    longest = 1 + np.log(CHANCE / values.size) / np.log(max(share, LEAST_EQUAL))
+    chance = min(max(share, LEAST_EQUAL), max(_equal_by_resolution(values), FINEST_EQUAL))
+    longest = 1 + np.log(CHANCE / values.size) / np.log(chance)
     for start, stop in zip(first, last, strict=True):
         if stop - start + 1 > longest:
             found[start + 1 : stop + 1] = True
     if found.any() and _has_no_noise(values):
         found[:] = False
+    runs = np.flatnonzero(found[1:] & ~found[:-1])  # the first reading of each run
+    runs = runs[runs > 0]
+    if runs.size:
+        usual = np.abs(step)
+        usual[runs - 1] = 0.0
+        usual[found[:-1]] = 0.0  # within a run, and out of it
+        found[runs[np.abs(step[runs - 1]) > LOST * np.nanmax(usual)]] = True
     return found
 
 
-def _has_no_noise(values: Array) -> bool:
-    """Whether the readings have no noise, but for rounding to their steps."""
+def _equal_by_resolution(values: Array) -> float:
+    """Probability that a reading equals the one before by their noise and what lies between two that differ.
+
+    That is at least the step of a converter, and of readings that have none what so many of them leave between them.
+    """
+    noise = _noise_of(values)[0]
+    some = np.unique(values[np.isfinite(values)])
+    apart = np.diff(some)
+    apart = apart[apart > ROUNDING * np.max(np.abs(some))]
+    return float(apart.min()) / (2 * np.sqrt(np.pi) * noise) if apart.size and noise > 0 else 1.0
+
+
+def _noise_of(values: Array) -> tuple[float, NDArray[np.intp]]:
+    """Noise of the readings by their differences, 0 where these are too few, and where they change."""
     differences = np.diff(values, n=ORDER)
     changed = np.flatnonzero(differences)[:MOST_DIFFERENCES]
     differences = differences[changed]
     differences = differences[np.isfinite(differences)]
     if differences.size < FEWEST_DIFFERENCES:
+        return 0.0, changed
+    return float(np.median(np.abs(differences))) / np.sqrt(comb(2 * ORDER, ORDER)), changed
+
+
+def _has_no_noise(values: Array) -> bool:
+    """Whether the readings have no noise, but for rounding to their steps."""
+    noise, changed = _noise_of(values)
+    if not noise:
         return False
-    noise = float(np.median(np.abs(differences))) / np.sqrt(comb(2 * ORDER, ORDER))
     step = step_of(values[changed[:MOST_VALUES]])
     return bool(noise < max(NO_NOISE * float(np.nanmax(values) - np.nanmin(values)), RESTS * step))
