@@ -7,7 +7,8 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.not_linear import friction_of, not_linear
 from aerobalance.estimation.checks.step_ringing import friction_by_steps
 from aerobalance.estimation.prior import Observation
-from faults.cases import all_cases
+from faults.cases import all_cases, dynamics
+from faults.scene import Scene, band, step, together
 from faults.trials import of_one, scores, trial, worked_out
 
 MASS, FREQUENCY, RATIO, RATE, NOISE, COUNT = 177.87, 66.4, 0.006, 1600.0, 2.0, 4000
@@ -149,3 +150,13 @@ def test_friction_whose_best_lag_is_chance_counts(seed):
     (case,) = [case for case in all_cases() if case.name == "friction 5 N, 0-100 Hz"]
     found = trial((case, seed))
     assert found["error"] < 3 * found["u"]  # it was 6 u, and fit for use
+
+
+def test_ringing_after_a_step_read_with_little_noise_is_that_of_a_linear_spring():
+    """Least squares takes some of a slow force for the height of a step: the ringing that is left is no spring."""
+    scene = Scene(together(step(500.0), band(10.0, 0, 30)), noise=0.02)
+    for seed in range(4):
+        record = scene.record(np.random.default_rng(seed))
+        force, said = worked_out(record, dynamics(), {})
+        assert not said
+        assert not force.doubts

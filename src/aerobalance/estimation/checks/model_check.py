@@ -6,6 +6,7 @@ What it says of one component is found in `aerobalance.estimation.checks.other_d
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import chain
 from typing import Any, Final
@@ -30,7 +31,9 @@ from aerobalance.estimation.checks.step_ringing import friction_by_steps
 from aerobalance.estimation.checks.unmeasured_rotation import turning_by_angles
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.independent_record import SingleRecord
+from aerobalance.estimation.prior import Observation
 from aerobalance.estimation.result import ComponentForce, with_doubt, with_errors
+from aerobalance.estimation.steps import Step, columns_of
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import DOUBTED
@@ -44,6 +47,9 @@ MATTERS: Final = 0.3
 
 MATTERS_WITH_STEPS: Final = 1.0
 """The same beside steps, of which a little is left that goes with the ringing."""
+
+NEAR: Final = 1 / 3
+"""Distance from the natural frequency, over it, within which it is looked how much ringing is left beside steps."""
 
 MOVED: Final = 0.1
 """Relative change of the natural frequency from which on it is another balance, and no spring that is not linear."""
@@ -160,14 +166,32 @@ def _not_linear(record: SingleRecord, force: ComponentForce) -> tuple[NotLinear,
     if friction is not None and friction.probability == 1:
         bent: NotLinear | None = friction
     else:
-        bent = (
-            not_linear(reading, record.dynamics, left=without_steps(reading, within) if within else None) or friction
-        )
+        bent = not_linear(reading, record.dynamics, left=_less_steps(reading, within) if within else None) or friction
     if bent is None:
         return None
     error = bent.force(force.values, record.dynamics, interval=record.interval)
     least = MATTERS_WITH_STEPS if within and bent.of_spring else MATTERS
     return (bent, error) if _rms(error) > least * _rms(force.uncertainty) else None
+
+
+def _less_steps(reading: Observation, steps: Sequence[Step]) -> Array:
+    """A reading less its steps, of the heights that were found beside the rest of the force, shape (n,) [N].
+
+    Plain least squares takes some of a slow force for heights: what is left of the ringing after a large step goes
+    with the motion, and looks like a spring that is not linear.
+    """
+    heights = np.array([step.height for step in steps])
+    found = reading.values - columns_of(list(steps), reading)[:, 1 : 1 + heights.size] @ heights
+    plain = without_steps(reading, steps)  # which knows of a ringing at the begin
+    near = reading.dynamics.natural_frequency * reading.interval
+    return min(found - found.mean(), plain, key=lambda one: _power_near(one, near))
+
+
+def _power_near(values: Array, frequency: float) -> float:
+    """Power of a series, tapered, within a third of a frequency over the sampling rate [N^2]."""
+    ordinate = np.arange(values.size // 2 + 1) / (values.size * frequency)
+    spectrum = np.fft.rfft(values * np.hanning(values.size))
+    return float(np.sum(np.abs(spectrum[np.abs(ordinate - 1) < NEAR]) ** 2))
 
 
 def _rms(values: Array) -> float:
