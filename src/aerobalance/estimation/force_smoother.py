@@ -30,6 +30,7 @@ from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, 
 from aerobalance.estimation.step_search import StepSearch
 from aerobalance.estimation.steps import Step, columns_of, response_to, shape_of, side_variance
 from aerobalance.recording.channel import Array
+from aerobalance.recording.resampling import interpolate_gaps_linearly
 
 FREQUENCIES: Final = 1 << 14
 """Steps from zero to half the sampling rate in the spectrum of the error: finer than the resonance is wide."""
@@ -48,6 +49,9 @@ SAME_NOISE: Final = 0.3
 
 AT_ONCE: Final = 4
 """Series that are smoothed together."""
+
+WHOLE: Final = 0.98
+"""Share of a record that is read, from which on tones are looked for, straight lines in its gaps."""
 
 CLEAR: Final = 30.0
 """Amplitude of a tone over its standard uncertainty from which on it is given a frequency of its own."""
@@ -128,10 +132,11 @@ def fit_signal_model(reading: Observation, *, hum: Hum, resolution: float | None
     """
     mains = _hum_of(reading, reading.values, hum)
     fitted = partial(_fitted, mains=mains, hum=hum, resolution=resolution)
-    tones = LoadTones()
-    if reading.present.all():
-        lines = tuple(line.frequency for line in mains.hum)
-        tones = load_tones(reading.values, reading.interval, reading.dynamics, hum=lines)
+    tones, present = LoadTones(), np.flatnonzero(reading.present)
+    within = slice(int(present[0]), int(present[-1]) + 1) if present.size else slice(0, 0)
+    if present.size >= WHOLE * (within.stop - within.start) > 0:
+        lines, shown = tuple(line.frequency for line in mains.hum), interpolate_gaps_linearly(reading.values[within])
+        tones = load_tones(shown, reading.interval, reading.dynamics, hum=lines)
     if not tones.frequencies:
         return fitted(reading)
     tonal = _tuned(replace(fitted(replace(reading, tones=tones.frequencies)), hidden=tones.hidden))
