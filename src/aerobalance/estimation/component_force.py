@@ -422,6 +422,8 @@ def _words_on_noise(record: ComponentRecord, learned: SpectralPrior) -> str:
 def _with_noise(record: ComponentRecord) -> tuple[Observation, tuple[Doubt, ...]]:
     """The reading with the noise that was given, unless its white part is not that of the run, and what that says."""
     reading, stated = record.reading(), record.noise is None
+    if stated and record.recording.from_outputs:
+        return reading, ()  # nobody has stated it: it is what calibration and zero leave of the gauge outputs
     ratio = departure_of(reading, stated=stated) if record.shared is None else None
     if ratio is None:
         return reading, ()
