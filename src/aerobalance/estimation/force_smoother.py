@@ -255,6 +255,12 @@ def _hum_of(reading: Observation, values: Array, hum: Hum) -> _MainsLines:
     return _MainsLines(lines, (), of_load)
 
 
+SIZES_OF_STEPS: Final = "size and instant of steps"
+"""Contribution of what is not known of constant and steps, and of lines beside them."""
+
+SIZES_OF_TONES: Final = "size and frequency of steady tones"
+"""The same of a record with steady tones and no steps."""
+
 LOST: Final = "narrow bands of the force beyond what its filter can follow"
 """Contribution of what the shaping filter of a spectrum leaves out."""
 
@@ -448,7 +454,7 @@ class SmootherResult:
         slopes = -estimator.size_errors
         source = self.reading.dynamics.component
         return [
-            Systematic("size and instant of steps", source, tuple(names), slopes, covariance, local=True),
+            Systematic(name_of_sizes(reading, self.steps), source, tuple(names), slopes, covariance, local=True),
             Noise("which side of a step a sample is on", source, np.sqrt(edge), np.ones(1)),
         ]
 
@@ -509,6 +515,11 @@ class LinearSmoother:
         shown = np.empty((series.shape[1], self.filter.shown))
         force = self.filter.smooth(series, [FORCE], shown=shown)[:, :, 0]
         return force, self._shapes[1] @ shown.T
+
+
+def name_of_sizes(reading: Observation, steps: Sequence[Step]) -> str:
+    """Return the name of the contribution of what is not known of constant, steps and lines."""
+    return SIZES_OF_TONES if reading.tones and not steps else SIZES_OF_STEPS
 
 
 def instant_columns(

@@ -55,6 +55,8 @@ REMEDIES: Final[Mapping[str, str]] = {
     HIDDEN: "a record without gaps",
     "what the model does not explain": "a model that holds there: identify again, with more modes",
     "size and instant of steps": "a longer record on both sides of the steps",
+    "size and frequency of steady tones": "a longer record",
+    "harmonics of the load that noise hides": "a longer record, or less noise",
     "which side of a step a sample is on": "a higher sampling rate",
     "mass, stiffness, damping, delay": "a better identification: more or longer releases, a mass weighed better",
     "accelerometer gain": "a calibration of the accelerometer",

@@ -27,7 +27,13 @@ from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.component_force import Method, estimated
 from aerobalance.estimation.error_sources import Noise, Systematic
-from aerobalance.estimation.force_smoother import HIDDEN, LinearSmoother
+from aerobalance.estimation.force_smoother import (
+    HIDDEN,
+    SIZES_OF_STEPS,
+    SIZES_OF_TONES,
+    LinearSmoother,
+    name_of_sizes,
+)
 from aerobalance.estimation.noise_draws import NoiseDraws
 from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.record import BalanceRecord, ComponentRecord
@@ -80,7 +86,7 @@ PART: Final = 4096
 TOGETHER: Final = 2
 """Draws of noise that go through the smoother together."""
 
-SIZES: Final = ("size and instant of steps", "which side of a step a sample is on")
+SIZES: Final = (SIZES_OF_STEPS, SIZES_OF_TONES, "which side of a step a sample is on")
 NOISES: Final = ("noise of the readings", "noise of the ground motion")
 
 
@@ -248,8 +254,8 @@ class _Trial:
             yield {
                 **({} if shift is None else {self.parameters: shift}),
                 " and ".join(NOISES): noise,
-                SIZES[0]: nominal.size_errors @ sizes,
-                **({SIZES[1]: _changed_sides(reading, steps, sizes)} if edges else {}),
+                name_of_sizes(reading, steps): nominal.size_errors @ sizes,
+                **({SIZES[-1]: _changed_sides(reading, steps, sizes)} if edges else {}),
                 **others,
             }
 
