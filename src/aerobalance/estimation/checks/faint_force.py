@@ -54,6 +54,8 @@ class FaintSettings:
         counts for the odds alone.
     told
         Bayes factor of a force against none from which on a doubt is raised [1].
+    below
+        Posterior probability that the rms of a band is below its upper limit [1].
     """
 
     levels: tuple[float, float] = (1e-2, 1e3)
@@ -63,6 +65,7 @@ class FaintSettings:
     none: float = 0.1
     bands: float = 0.7
     told: float = 9.0
+    below: float = 0.9
 
 
 BINS: Final = 512
@@ -84,14 +87,20 @@ class Hidden:
         Bayes factor of a force against none: the posterior odds over the prior ones [1].
     frequency
         Upper edge of the band or line, its mean over all hypotheses weighted by their power [Hz].
+    limit
+        Upper limit of the rms of the band that may have most [N].
+    edge
+        Upper edge of that band [Hz].
     """
 
     rms: float
     odds: float
     frequency: float
+    limit: float
+    edge: float
 
     def error(self, source: str, *, count: int, interval: float) -> Noise:
-        """Contribution to the uncertainty of a force that is taken for constant: noise of this rms [N] and spectrum.
+        """Contribution to the uncertainty of a force that is taken for constant: noise of its rms or limit [N].
 
         Parameters
         ----------
@@ -103,10 +112,9 @@ class Hidden:
             Time between samples [s].
         """
         frequency = np.linspace(0, 0.5 / interval, BINS)
-        inside = frequency <= max(self.frequency, float(frequency[1]))
-        return Noise(
-            "force below detection", source, np.full(count, self.rms), inside * BINS / np.count_nonzero(inside)
-        )
+        rms, highest = max((self.rms, self.frequency), (self.limit, self.edge))
+        inside = frequency <= max(highest, float(frequency[1]))
+        return Noise("force below detection", source, np.full(count, rms), inside * BINS / np.count_nonzero(inside))
 
     def doubt(self, component: str, *, unit: str) -> Doubt | None:
         """Doubt about a force that is taken for constant; None where the odds for a fluctuating one are low."""
@@ -173,4 +181,26 @@ def hidden_force(reading: Observation, learned: SpectralPrior, *, left: Array) -
     weights /= weights.sum()
     mean = float(weights @ power)
     odds = (1 - posterior[0]) / max(float(posterior[0]), 1e-300) * SETTINGS.none / (1 - SETTINGS.none)
-    return Hidden(float(np.sqrt(mean)), float(odds), float(weights @ (power * reach)) / mean)
+    limits = _limits(rms[: edges.size], bands[edges])
+    most = int(np.argmax(limits))
+    return Hidden(
+        float(np.sqrt(mean)),
+        float(odds),
+        float(weights @ (power * reach)) / mean,
+        float(limits[most]),
+        float(widths[edges[most]]),
+    )
+
+
+def _limits(rms: Array, gained: Array) -> Array:
+    """Upper limit of the rms of each band, every rms being as likely as another beforehand, shape (bands,) [N].
+
+    Parameters
+    ----------
+    rms, gained
+        Rms at levels a constant ratio apart [N], and the gain in log-likelihood, shape (bands, levels) each.
+    """
+    weights = rms * np.exp(gained - gained.max(axis=1, keepdims=True))
+    weights /= weights.sum(axis=1, keepdims=True)
+    below = np.cumsum(weights, axis=1) - 0.5 * weights
+    return np.array([np.interp(SETTINGS.below, *one) for one in zip(below, rms, strict=True)])
