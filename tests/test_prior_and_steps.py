@@ -164,6 +164,24 @@ def test_given_noise_is_kept(rng):
     assert fit_prior(given, columns=np.ones((given.values.size, 1))).noise == pytest.approx(2.0, rel=1e-12)
 
 
+def test_a_force_below_the_noise_at_every_frequency_keeps_its_spectrum():
+    """Hundreds of ordinates show it together; its filter had its best resolution at 0.1 Hz, and nothing of it."""
+    (case,) = [one for one in all_cases() if one.name == "5 s, 0.2 N in 2 N of noise"]
+    record = case.record(159)
+    reading = Observation(record.columns["AF"], 1 / record.rate, case.dynamics)
+    learned = fit_prior(reading, columns=np.ones((reading.values.size, 1)))
+    frequency = np.linspace(0, 800, 8001)[1:]
+    density, noise = learned.spectrum.density(frequency), learned.noise**2 / record.rate
+    gain = np.abs(case.dynamics.response(frequency)) ** 2
+    assert density.any()
+    assert (gain * density < noise).all()
+    # the roots of the densities differ by no more than the tolerance of the filter, that of the mean error's density,
+    # and by the background, of a hundredth of that
+    error = float(np.mean(density * noise / (gain * density + noise)))
+    found = learned.shaping.spectrum(frequency)
+    assert np.max(np.abs(np.sqrt(found) - np.sqrt(density))) < 1.1 * error**0.5
+
+
 def test_no_force_is_learned_where_none_fluctuates(rng):
     reading = Observation(100 + rng.normal(0, 3.0, 4000), 1 / RATE, T128)
     learned = fit_prior(reading, columns=np.ones((4000, 1)))

@@ -380,8 +380,10 @@ def _shaped(reading: Observation, spectrum: Spectrum, noise_density: float) -> S
     error = float(np.mean(density * noise / (gain * density + noise)))
     if not error > 0:
         return ShapingFilter.silent()
-    resolved = frequency[gain * density > noise]
-    edge = float(resolved[-1]) if resolved.size else frequency[0]
+    ratio = gain * density / noise
+    # a force below the noise at every frequency may still be shown by all of them: its edge is then where it is half
+    # as strong as anywhere
+    edge = float(frequency[ratio > (1.0 if ratio.max() > 1 else 0.5 * ratio.max())][-1])
     if spectrum.roll_off:
         edge = float(np.sqrt(edge * min(spectrum.roll_off[0], edge)))
 
