@@ -282,10 +282,18 @@ def test_modes_that_no_longer_ring_are_none_that_have_moved() -> None:
 @pytest.mark.parametrize("turning", ["acceleration", "rate"])
 @pytest.mark.soak(first=1)
 def test_noise_of_the_grounds_sensors_is_no_ringing(turning, seed):
-    """It rings in all components at once, which no independent forces do; of 16 records 4 were doubted so."""
+    """It rings in all components at once, which no independent forces do; of 16 records 4 were doubted so.
+
+    What the loads say of the sensors' delay, drift and gain is another matter: each is told by chance once in 2000
+    records, all channels together. That is one of 16 records in 45 runs, and two in one run of 4000.
+    """
+    of_sensors = 0
     for one in range(trials(1, 16)):
         record = shaken(np.random.default_rng([seed, one]), motion=1.0, load=0.02, turning=turning).used
-        assert record.force.doubts == ()
+        kinds = {doubt.kind for doubt in record.force.doubts}
+        assert kinds <= {"ground delay", "ground clock", "ground gain"}
+        of_sensors += bool(kinds)
+    assert of_sensors <= 1
 
 
 def wide() -> CoupledDynamics:
