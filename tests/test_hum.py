@@ -5,8 +5,13 @@ import warnings
 import numpy as np
 import pytest
 
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.applied_force import Force
+from aerobalance.estimation.checks.mains_hum import hidden_harmonics
 from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.spectra.line_noise import (
+    Line,
     _line_of,
     _Near,
     columns_of_lines,
@@ -14,11 +19,20 @@ from aerobalance.estimation.spectra.line_noise import (
     load_harmonics,
     reading_of_lines,
 )
+from aerobalance.estimation.spectra.periodogram import Spectrum
+from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.recording.channel import Channel
+from aerobalance.recording.doubts import Verdict
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
+from faults.cases import all_cases
+from faults.cases import dynamics as known_dynamics
+from faults.scene import FREQUENCY, Record
 from helpers.cable_cut import T128
+from seeds import trials
 
+DYNAMICS = known_dynamics()
+CASES = {case.name: case for case in all_cases()}
 RATE = 1600.0
 NOISE = 2.0
 
@@ -222,3 +236,58 @@ def test_a_drive_at_a_frequency_of_the_mains_stays_a_force(rng):
     inner = slice(640, -640)
     amplitude = 2 * np.mean(found.values[inner] * np.exp(-2j * np.pi * 60.0 * time[inner]))
     assert abs(abs(amplitude) - 300) < 2.0  # 0.1 % of half range, as for any other tone
+
+
+def beside(record: Record, rng: np.random.Generator, amplitudes: dict[int, float]) -> Force:
+    """Return the force of a record with hum of 50.01 Hz added to its reading."""
+    load = record.columns["AF"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)  # the lines that are seen are told
+        return estimate_force(record_of(load + hum(rng, clock(load.size / RATE), 50.01, amplitudes)), DYNAMICS)
+
+
+@pytest.mark.soak(first=1)
+def test_hum_that_the_load_hides_is_counted_where_its_harmonics_are_seen():
+    """The fundamental of 30 N is in the load's band, and 15 and 6 N at 150 and 250 Hz are not."""
+    # as a force it has 30 N over the gain, and over the root of two
+    error = 30 * (1 - (50 / FREQUENCY) ** 2) / 2**0.5
+    case, squares = CASES["0-60 Hz, 60 N"], []
+    for seed in range(trials(4, 20)):
+        found = beside(case.record(seed), np.random.default_rng(seed), {1: 30.0, 3: 15.0, 5: 6.0})
+        assert [doubt.kind for doubt in found["AF"].doubts] == ["hum"]
+        assert found.verdict is not Verdict.FIT
+        squares.append(np.mean(found["AF"].uncertainty ** 2))
+    # what the load has there beside it, 60 N in 60 Hz over 2.5 s with a Hann window, adds in quadrature what it does
+    # to the amplitude and its own variance, and scatters a single one by as much
+    load = 60**2 / 60 / 2.5 * 1.5
+    assert 0.6 * error < np.sqrt(np.mean(squares)) < 1.4 * np.sqrt(error**2 + 2 * load)
+
+
+def test_harmonics_that_nothing_hides_add_nothing_to_the_uncertainty():
+    """Lines that are seen tell the rest by what is read: a slow load has no power at 50 Hz."""
+    case = CASES["0-20 Hz, 60 N"]
+    record = case.record(0)
+    calm = beside(record, np.random.default_rng(0), {})["AF"]
+    found = beside(record, np.random.default_rng(0), {1: 3.0, 3: 2.0})["AF"]
+    assert len(found.hum) == 2
+    assert not found.doubts
+    assert np.mean(found.uncertainty**2) < 1.05 * np.mean(calm.uncertainty**2)
+
+
+def test_what_a_force_may_hide_is_bounded_by_what_is_read_and_by_the_lines_that_are_seen():
+    """Under a force of density S an amplitude has 4 S / dt over n, half as much again by the window."""
+    count, line = 4000, Line(150.0, 0.0, 2.0, 0.001, 1e4)
+    density = 0.5
+    stiff = Dynamics("AF", 1.0, (2 * np.pi * 1e5) ** 2, 1e3)  # reads what acts
+    spectrum = Spectrum(np.array([80.0]), np.array([density]))
+    learned = SpectralPrior(spectrum, ShapingFilter.silent(), 1e-3)
+    reading = Observation(np.zeros(count), 1 / RATE, stiff)
+    before, other = (3 * 2.0) ** 2, 1.5 * 4 * density * RATE / count
+    for read in (0.0, 4.0):
+        left = read * np.cos(2 * np.pi * 50 * (np.arange(count) - (count - 1) / 2) / RATE)
+        (first, *more) = hidden_harmonics(reading, learned, left, lines=[line])
+        square = (before / (before + other)) ** 2 * read**2 + before * other / (before + other)
+        assert first == pytest.approx((50.0, np.sqrt(square / 2)), rel=1e-3)
+        # 100 Hz and on, without 150 Hz, are above the force
+        assert [round(frequency) for frequency, _ in more] == [100, *range(200, 800, 50)]
+        assert max(size for _, size in more) == 0

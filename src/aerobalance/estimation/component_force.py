@@ -19,7 +19,7 @@ from aerobalance.estimation.checks.ground_alignment import ChannelAlignment, alo
 from aerobalance.estimation.checks.ground_channels import GroundFault
 from aerobalance.estimation.checks.ground_doubts import ground_doubts
 from aerobalance.estimation.checks.ground_witnesses import SETTINGS as GROUND_CHANNELS
-from aerobalance.estimation.checks.mains_hum import hum_doubts
+from aerobalance.estimation.checks.mains_hum import hidden_doubts, hidden_harmonics, hum_doubts
 from aerobalance.estimation.checks.model_error import as_noise, error_behind
 from aerobalance.estimation.checks.resolution import resolution_doubt, rounding_error
 from aerobalance.estimation.checks.unexplained import excess_of, missed_force, sudden_excess
@@ -382,6 +382,19 @@ class Fitted:
                 unit=unit,
             ):
                 yield [doubt], [noise]
+        if self.hum == "mains" and record.noise is None:
+            fit = self.smoothed
+            left = np.where(reading.present, reading.filled - fit.columns @ fit.sizes, 0.0)
+            lines = fit.sized(self.signal.hum)
+            told, hidden_hum = hidden_doubts(
+                component,
+                hidden_harmonics(reading, learned, left, lines=lines, of_load=self.signal.of_load),
+                rest=float(np.sqrt(np.mean(_deviation(errors) ** 2))),
+                count=count,
+                interval=reading.interval,
+                unit=unit,
+            )
+            yield [told] if told else [], [*hidden_hum]
         step = step_of(record.load)
         error = rounding_error(reading, learned, step=step) if step else None
         if error is not None:

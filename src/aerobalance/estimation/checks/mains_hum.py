@@ -10,7 +10,8 @@ import numpy as np
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.error_sources import Noise
 from aerobalance.estimation.prior import Observation, SpectralPrior
-from aerobalance.estimation.spectra.line_noise import LINE_EVIDENCE, MAINS, MOST_HARMONICS, Line
+from aerobalance.estimation.spectra.line_noise import LINE_EVIDENCE, MAINS, MOST_HARMONICS, Line, columns_of_lines
+from aerobalance.recording.channel import Array
 from aerobalance.recording.doubts import Assumption, Doubt
 from aerobalance.recording.errors import argument
 
@@ -31,6 +32,13 @@ LEAST: Final = 1e-3
 
 BINS: Final = 4096
 """Frequencies at which the spectrum of an error is kept: a line is narrow."""
+
+STRONGER: Final = 3.0
+"""Amplitude of a harmonic that is not seen over the largest that is, as the standard deviation of what may be: a
+fundamental is mostly the strongest, and rectifiers make harmonics of a third and a fifth of it."""
+
+COUNTS: Final = 0.1
+"""Rms of a hidden harmonic over the rest of the uncertainty from which on it is counted."""
 
 
 def hum_doubts(
@@ -99,6 +107,93 @@ def hum_doubts(
         )
         for what, frequency, rms in found
     ]
+
+
+def hidden_harmonics(
+    reading: Observation, learned: SpectralPrior, left: Array, *, lines: Sequence[Line], of_load: Sequence[Line] = ()
+) -> list[tuple[float, float]]:
+    """Frequencies [Hz] of harmonics of hum that a force may hide, each with its rms as an error of the force [N].
+
+    Lines of hum tell its frequency. At each other multiple the reading has the amplitude a of a line with the variance
+    V of what else is there, so that with the variance P of an amplitude before it was read, its mean square is
+    (P a / (P + V))^2 + P V / (P + V). Of that the force has the part that is not taken for noise.
+
+    Parameters
+    ----------
+    reading, learned
+        The record, and what was learned of it.
+    left
+        Readings without the steps and the lines that were found, 0 where missing, shape (n,) [N].
+    lines
+        Lines that are taken for hum of the mains.
+    of_load
+        Lines there that are harmonics of a load that repeats.
+    """
+    if not lines:
+        return []
+    leader = max(lines, key=lambda line: line.evidence)
+    # a twentieth harmonic at 0.1 % off its place still has its own number
+    _, mains = min((abs(leader.frequency / one - round(leader.frequency / one)) * one, one) for one in MAINS)
+    fundamental = leader.frequency / round(leader.frequency / mains)
+    known = [*lines, *of_load]
+    frequencies = np.array(
+        [
+            frequency
+            for frequency in fundamental * np.arange(1, MOST_HARMONICS + 1)
+            if frequency < 0.5 / reading.interval
+            and not any(abs(frequency / line.frequency - 1) < NEAR for line in known)
+        ]
+    )
+    if not frequencies.size:
+        return []
+    window = np.hanning(left.size + 2)[1:-1] * reading.present
+    window /= window.sum()
+    columns = columns_of_lines(frequencies.tolist(), count=left.size, interval=reading.interval)
+    parts = 2 * (window * (left - window @ left)) @ columns
+    read = parts[0::2] ** 2 + parts[1::2] ** 2
+    gain = np.abs(reading.dynamics.response(frequencies)) ** 2
+    force, noise = gain * learned.spectrum.density(frequencies), learned.noise**2 * reading.interval
+    other = 4 * (force + noise) / reading.interval * float(window @ window)
+    before = (STRONGER * max(line.amplitude for line in lines)) ** 2
+    square = (before / (before + other)) ** 2 * read + before * other / (before + other)
+    rms = force / (force + noise) * np.sqrt(square / (2 * gain))
+    return [(float(frequency), float(size)) for frequency, size in zip(frequencies, rms, strict=True)]
+
+
+def hidden_doubts(
+    component: str, hidden: Sequence[tuple[float, float]], *, rest: float, count: int, interval: float, unit: str
+) -> tuple[Doubt | None, list[Noise]]:
+    """The doubt about harmonics of hum that a force may hide, if they are most of the uncertainty, and their errors.
+
+    Parameters
+    ----------
+    component
+        Which it is.
+    hidden
+        Frequency [Hz] and rms [N] of each.
+    rest
+        Rms of the uncertainty by everything else [N].
+    count, interval
+        Samples of the record, and time between them [s].
+    unit
+        Unit of the force.
+    """
+    counted = [one for one in hidden if one[1] > COUNTS * rest]
+    errors = [_error(component, frequency, rms, count=count, interval=interval) for frequency, rms in counted]
+    effect = float(np.sqrt(sum(rms**2 for _, rms in counted)))
+    if not effect > rest:
+        return None, errors
+    where = ", ".join(f"{frequency:.5g}" for frequency, _ in counted)
+    text = (
+        f"{component} has hum of the mains, of which a force may hide more at {where} Hz: by what is read "
+        f"there, and up to about {STRONGER:g} times as strong as the lines that are seen, it may be an error of "
+        f"{effect:.2g} {unit} rms; that is in the uncertainty"
+    )
+    advice = (
+        f"shield the cables, or give a record of noise with {argument('noise')}, which shows the hum; if the steady "
+        f"lines are force, keep them with {argument('hum', 'keep')}"
+    )
+    return Doubt("hum", component, text, advice, effect, unit), errors
 
 
 def hum_assumed(reading: Observation, learned: SpectralPrior, *, unit: str) -> Iterator[Assumption]:
