@@ -1,5 +1,6 @@
 """The force beside noise with a color: with a record of that noise, and what is seen without one."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from aerobalance.estimation.prior import Observation
 from aerobalance.estimation.spectra.noise_floor import departure_of, lasts
 from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, Hump, NoiseSpectrum
 from aerobalance.recording.channel import Channel
+from aerobalance.recording.doubts import Verdict
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
 from helpers.cable_cut import T128
@@ -237,3 +239,25 @@ def test_noise_that_a_channel_states_holds_where_a_force_hides_it(rng):
     reading = Observation(values - values.mean(), 4 / RATE, T128, noise=0.5)
     assert departure_of(reading) is not None
     assert departure_of(reading, stated=True) is None
+
+
+@pytest.mark.parametrize("seed", [0, 2])
+def test_a_force_nearly_up_to_half_the_rate_that_is_taken_for_noise_is_in_the_uncertainty(seed):
+    """A flat force of 60 N up to 190 of 200 Hz: what is missing above 140 Hz is a quarter of its power and more."""
+    rng = np.random.default_rng(seed)
+    count, rate = 2000, 400.0
+    frequency = np.fft.rfftfreq(count, 1 / rate)
+    lines = (rng.normal(size=frequency.size) + 1j * rng.normal(size=frequency.size)) * (frequency <= 190)
+    lines[0] = 0
+    lines *= 60 / np.std(np.fft.irfft(lines, count))
+    force = np.fft.irfft(lines, count)
+    load = np.fft.irfft(lines * T128.response(frequency), count) + rng.normal(0, 0.2, count)
+    record = Recording.from_columns(np.arange(count) / rate, {"AF": Channel("AF", load, "N")}, name="run")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)
+        found = estimate_force(record, T128)
+    error = np.sqrt(np.mean((found["AF"].values - force) ** 2))
+    u = np.sqrt(np.mean(found["AF"].uncertainty ** 2))
+    assert error < 1.3 * u
+    assert "colored noise" in [doubt.kind for doubt in found["AF"].doubts]
+    assert found.verdict is not Verdict.FIT

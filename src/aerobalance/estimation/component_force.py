@@ -366,6 +366,11 @@ class Fitted:
         unit = si_unit(component)
         for told, open_ in slow_noise_doubts(self.signal, component, unit=unit):
             yield [told] if told else [], [open_] if open_ else []
+        floor = self.signal.floor
+        if floor is not None and floor.likelier_force:
+            shape = (np.linspace(0, 0.5 / reading.interval, FREQUENCIES) >= floor.first).astype(np.float64)
+            missing = np.full(count, floor.as_force)
+            yield [], [Noise("force taken for noise", component, missing, shape / shape.mean())]
         hidden = hidden_force(reading, learned, left=self.smoothed.residuals)
         if hidden is not None:
             told = hidden.doubt(component, unit=unit)

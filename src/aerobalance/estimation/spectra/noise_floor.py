@@ -51,6 +51,9 @@ FAST: Final = 0.375
 DEPARTURE: Final = 0.2
 """Logarithm of the ratio of powers above which the noise of a run differs from that of the record of noise."""
 
+NEARLY: Final = 0.8
+"""Frequency over half the sampling rate from which on a noise with a color leaves little to tell its white part by."""
+
 FEWEST_ORDINATES: Final = 64
 """Independent ordinates above the natural frequency from which on a noise floor is estimated."""
 
@@ -95,6 +98,9 @@ class Floor:
         Standard deviation of its white part [N].
     color
         The part that is not white.
+    likelier_force
+        Whether a force in white noise as faint as its least density explains the record clearly better: then only few
+        frequencies are left without force, and they alone tell the noise.
     """
 
     first: float
@@ -103,6 +109,7 @@ class Floor:
     as_force: float
     white: float
     color: ShapedNoise
+    likelier_force: bool = False
 
     @property
     def may_be_force(self) -> bool:
@@ -116,9 +123,11 @@ class Floor:
             "above the white noise of its readings: it is taken for noise of the electronics and not for a force of "
             f"{self.as_force:.2g} {unit} rms, which would look much the same and is then missing from the result"
         )
-        return Doubt(
-            "colored noise", component, seen, f"a record of noise alone ({argument('noise')}) decides", 0.0, unit
-        )
+        if self.likelier_force:
+            seen += "; so little is left without force that the noise is not known: that is in the uncertainty"
+        effect = self.as_force if self.likelier_force else 0.0
+        advice = f"a record of noise alone ({argument('noise')}) decides"
+        return Doubt("colored noise", component, seen, advice, effect, unit)
 
 
 def with_floor(reading: Observation, *, left: Array) -> tuple[Observation, Floor | None]:
@@ -201,7 +210,15 @@ def _likeliest(
     least = reading.least_noise**2 * reading.interval
     plain = fit_spectrum(periodogram, noise_density=given, floor=least, smooth=True)
     if evidence > plain.evidence + DECISIVE:
-        return best
+        # a force nearly up to half the rate leaves too little to begin with the level of the noise
+        if given is not None or best.last < NEARLY * 0.5 / reading.interval:
+            return best
+        wide = fit_spectrum(periodogram, noise_density=share * best.white**2 * reading.interval)
+        if wide.evidence < evidence + DECISIVE:
+            return best
+        frequency = np.linspace(best.first, 0.5 / reading.interval, GRID)
+        as_force = float(np.sqrt(2 * np.trapezoid(wide.spectrum.density(frequency), frequency)))
+        return replace(best, as_force=as_force, likelier_force=as_force > best.in_reading)
     frequency = np.linspace(best.first, 0.5 / reading.interval, GRID)
     as_force = float(np.sqrt(2 * np.trapezoid(plain.spectrum.density(frequency), frequency)))
     return replace(best, as_force=as_force) if evidence > plain.evidence - DECISIVE else None
