@@ -53,6 +53,10 @@ def test_harmonics_of_a_rotor_are_found_to_what_noise_leaves(fundamental, rng):
         # one within four half widths of the resonance may be a free oscillation, and is left to the spectrum
         beside = np.abs(frequency / T128.natural_frequency - 1) < 4 * T128.damping_ratio
         assert taken[: 8 - beside.sum()] == pytest.approx(frequency[~beside], abs=0.1 / COUNT * RATE)
+        sizes = np.array([tone.amplitude for tone in found.only.tones][: 8 - beside.sum()])
+        # noise leaves sqrt(2 / n) s / |G| of one, and a frequency that is found beside it as much at most
+        left = 5 * np.sqrt(2) * NOISE * np.sqrt(2 / COUNT) / np.abs(T128.response(frequency[~beside]))
+        assert (np.abs(sizes - amplitudes[~beside]) < left).all()
     # in one of fifty records noise makes a ninth harmonic
     assert np.median(errors) < 1.6 * np.sqrt(2) * bound
 

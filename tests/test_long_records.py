@@ -343,6 +343,18 @@ def test_hum_of_all_parts_is_one_line(rng):
     assert line.frequency == pytest.approx(150.0, abs=2e-3)
 
 
+def test_tones_of_all_parts_are_one_line(rng):
+    """What is kept of the parts has each tone of the force once, with its size in the force."""
+    record, time = run(rng), np.arange(14_000) / RATE
+    load, frequency = record.channel("AF"), 8.1
+    driven = replace(load, values=load.values + 40.0 * np.sin(2 * np.pi * frequency * time + 1))
+    (line,) = divided(replace(record, channels={"AF": driven})).force().only.tones
+    # the load has 20^2 / 40 N^2/Hz there as well: in the T = 5 s of a part s = sqrt(2 * 10 / T) = 2 N of an amplitude
+    # and sqrt(6) / (pi T) of s / 40 N of a frequency, 0.008 Hz
+    assert line.frequency == pytest.approx(frequency, abs=5 * 0.008)
+    assert line.amplitude == pytest.approx(40.0 / abs(T128.response(frequency)), abs=5 * 2.0)
+
+
 def test_parts_that_contradict_each_other_are_told(rng):
     """Where the second part's readings jump by a slow drift of the amplifier, each part takes another level."""
     record = run(rng)

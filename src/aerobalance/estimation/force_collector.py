@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -49,6 +49,7 @@ class SummaryOfParts:
     _parts: int = 0
     _steps: list[Step] = field(default_factory=list)
     _hum: list[Line] = field(default_factory=list)
+    _tones: list[Line] = field(default_factory=list)
     _assumptions: dict[str, None] = field(default_factory=dict)
     _doubts: list[tuple[Doubt, str]] = field(default_factory=list)
     _assumed: dict[str, Assumption] = field(default_factory=dict)
@@ -90,12 +91,8 @@ class SummaryOfParts:
             if one.kind not in self._assumed or one.effect > self._assumed[one.kind].effect:
                 self._assumed[one.kind] = one
         resolved = SAME_LINE * given.force.recording.rate / given.force.recording.samples
-        for line in found.hum:
-            same = [other for other in self._hum if abs(other.frequency - line.frequency) < resolved]
-            if not same:
-                self._hum.append(line)
-            elif line.amplitude > same[0].amplitude:
-                self._hum[self._hum.index(same[0])] = line
+        self._hum = _with_lines(self._hum, found.hum, resolved=resolved)
+        self._tones = _with_lines(self._tones, found.tones, resolved=resolved)
 
     def _add_means(self, force: Force, own: slice) -> None:
         """Count the load of a part, and the weight that is taken off it."""
@@ -136,7 +133,8 @@ class SummaryOfParts:
             bandwidth=self._bandwidth,
             noise_gain=after / noise if noise > 0 else 0.0,
             steps=tuple(self._steps),
-            hum=tuple(sorted(self._hum, key=lambda line: line.frequency)),
+            hum=tuple(self._hum),
+            tones=tuple(self._tones),
             assumptions=tuple(self._assumptions),
             sums=self._sums,
             spectrum=self._spectrum,
@@ -145,6 +143,18 @@ class SummaryOfParts:
             mean_load=float(load),
             mean_weight=float(weight),
         )
+
+
+def _with_lines(known: list[Line], found: Sequence[Line], *, resolved: float) -> list[Line]:
+    """Lines of the parts before with those of one more, by frequency; of the same line of both the larger one."""
+    lines = list(known)
+    for line in found:
+        same = [other for other in lines if abs(other.frequency - line.frequency) < resolved]
+        if not same:
+            lines.append(line)
+        elif line.amplitude > same[0].amplitude:
+            lines[lines.index(same[0])] = line
+    return sorted(lines, key=lambda line: line.frequency)
 
 
 @dataclass(slots=True, eq=False)
@@ -204,6 +214,7 @@ class ForceCollector:
             noise_gain=summary.noise_gain,
             steps=summary.steps,
             hum=summary.hum,
+            tones=summary.tones,
             assumptions=summary.assumptions,
             budget=summary.budget,
             contributions=tuple(

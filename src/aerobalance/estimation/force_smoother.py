@@ -344,12 +344,13 @@ class SmootherResult:
 
     @property
     def tones(self) -> tuple[Line, ...]:
-        """The steady tones of the force, with their sizes in the reading."""
-        frequencies = self.reading.tones
-        sizes = self.sizes[self.sizes.size - 2 * len(frequencies) :].reshape(-1, 2)
+        """The steady tones of the force, with their sizes in the force [N]."""
+        frequencies = np.array(self.reading.tones)
+        sizes = self.sizes[self.sizes.size - 2 * frequencies.size :].reshape(-1, 2)
+        phasors = (sizes[:, 1] - 1j * sizes[:, 0]) / self.reading.dynamics.response(frequencies)
         return tuple(
-            Line(frequency, float(sine), float(cosine), 0.0, np.inf)
-            for frequency, (sine, cosine) in zip(frequencies, sizes, strict=True)
+            Line(float(frequency), -float(phasor.imag), float(phasor.real), 0.0, np.inf)
+            for frequency, phasor in zip(frequencies, phasors, strict=True)
         )
 
     def sized(self, lines: Sequence[Line]) -> tuple[Line, ...]:

@@ -28,7 +28,7 @@ class ForceSummary:
 
     Attributes
     ----------
-    component, method, noise, bandwidth, noise_gain, steps, hum, assumptions, doubts, assumed
+    component, method, noise, bandwidth, noise_gain, steps, hum, assumptions, doubts, assumed, tones
         As in `ComponentForce`.
     sums, spectrum
         Sums over its samples.
@@ -50,6 +50,7 @@ class ForceSummary:
     spectrum: SpectrumSums
     doubts: tuple[Doubt, ...] = ()
     assumed: tuple[Assumption, ...] = ()
+    tones: tuple[Line, ...] = ()
     mean_load: float = np.nan
     mean_weight: float = np.nan
 
@@ -119,7 +120,7 @@ class ComponentForce:
         What gaps hid of the ground's motion and its channels lack, as the load shows it, shape (n,) [m/s^2]; None
         where that was not looked for.
     tones
-        Steady tones of the force, with their sizes in the reading.
+        Steady tones of the force, with their sizes in the force.
     bends
         Instants of sudden changes of the force's slope, from the first sample on [s].
     """

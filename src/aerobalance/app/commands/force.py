@@ -310,6 +310,7 @@ def force_result(estimate: ForceSummary, origins: Origins) -> Result:
             {"frequency": line.frequency, "u_frequency": line.u_frequency, "amplitude_in_reading": line.amplitude}
             for line in estimate.hum
         ],
+        "tones": [{"frequency": line.frequency, "amplitude": line.amplitude} for line in estimate.tones],
         "assumptions": list(estimate.assumptions),
         **budget_result(estimate, origins),
     }
