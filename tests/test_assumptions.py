@@ -76,7 +76,7 @@ def test_a_direct_inverse_assumes_as_much(settings):
     case = CASES["bandwidth 100 Hz, stiffness +5 %, 0-60 Hz"]
     force, _ = tried(replace(case, settings=settings))
     optimal, _ = tried(replace(case, settings={}))
-    assert set(effects(force)) == {"load filter", "gain", "natural frequency"}
+    assert set(effects(force)) == {"load filter", "gain", "zero drift", "natural frequency"}
     for kind, effect in effects(force).items():
         # of one record, its steps found or not
         assert effect == pytest.approx(effects(optimal)[kind], rel=0.1), kind
@@ -91,6 +91,25 @@ def test_a_gain_changes_the_force_by_as_much():
     assert more is not None
     change = float(np.sqrt(np.mean((more.only.values - force.only.values) ** 2)))
     assert effects(force)["gain"] == pytest.approx(change, rel=0.05)
+
+
+def test_a_zero_that_drifts_changes_the_force_by_as_much():
+    """What is seen of 0.1 % of the largest reading that is added steadily; not where a zero after the run tells it."""
+    case = CASES["0-100 Hz, 200 N"]
+    record = case.record(0)
+    load = record.columns["AF"]
+    drift = 0.001 * np.max(np.abs(load)) * np.linspace(0, 1, load.size)
+    force, _ = worked_out(record, case.dynamics, {})
+    drifted, _ = worked_out(record.with_column("AF", load + drift), case.dynamics, {})
+    assert force is not None
+    assert drifted is not None
+    change = float(np.sqrt(np.mean((drifted.only.values - force.only.values) ** 2)))
+    # the inverse is linear, and next to 1 below the natural frequency; the readings are rounded
+    assert effects(force)["zero drift"] == pytest.approx(change, rel=0.05)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)
+        told = ab.estimate_force(replace(recording_of(record), zero_after=True), case.dynamics)
+    assert "zero drift" not in effects(told)
 
 
 @pytest.mark.parametrize("angle", [0.3, 0.02])
@@ -137,7 +156,7 @@ def test_what_is_declared_or_shown_is_not_assumed():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)  # nothing of it is true
         kinds = set(effects(ab.estimate_force(declared, case.dynamics)))
-    assert kinds <= {"cross-axis", "natural frequency", "colored noise", "hum"}
+    assert kinds <= {"cross-axis", "zero drift", "natural frequency", "colored noise", "hum"}
     # ringing tells the frequency
     assert "natural frequency" not in effects(tried(CASES["step alone"])[0])
     # so does a covariance that says how far it is off

@@ -340,6 +340,11 @@ def test_what_is_not_recorded_is_named():
     assert "pitch" in named
     both = record(AF=load, ground_acceleration=(0 * load, {"noise": 0.0}), pitch=(0 * load, {"noise": 0.0}))
     assert estimate_force(both, T128, method="paper").only.assumptions == ()
+    late = record(
+        AF=(load, {"delay": 0.0025}), ground_acceleration=(0 * load, {"noise": 0.0}), pitch=(0 * load, {"noise": 0.0})
+    )
+    (said,) = estimate_force(late, T128, method="paper").only.assumptions
+    assert "2.5 ms before the time beside it" in said
 
 
 @pytest.mark.filterwarnings("ignore:.* the channel is dead")  # a reading without noise

@@ -137,6 +137,7 @@ def test_a_zero_is_the_mean_and_its_drift_is_taken_off(balance: BalanceMatrix, r
     assert error.max() < allowed
     plain = loads_of_outputs(run, balance, zero=gauge_zero([before], balance, model_on=False))
     assert np.max(np.abs(plain.values - in_direct(balance, native))) > 3 * error.max()
+    assert (felt.recording.zero_after, plain.recording.zero_after) == (True, False)
 
 
 def at_rest(

@@ -448,4 +448,5 @@ def _with_loads(recording: Recording, felt: Loads) -> Recording:
         from_outputs=True,
         declared=declared,
         zero_from_natural={name: one.load for name, one in felt.zero.from_natural.items() if one.of_range > REPEATS},
+        zero_after=bool(felt.zero.drift.any()),
     )

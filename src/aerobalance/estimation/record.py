@@ -240,6 +240,16 @@ class ComponentRecord(ABC):
             for (name, source, local), items in groups.items()
         ]
 
+    @property
+    def _read_late(self) -> tuple[str, ...]:
+        """By how much the force is earlier than the time beside it, in words; nothing where the load has no delay."""
+        name = self.dynamics.component
+        delay = self.recording.channel(name).delay
+        if not delay:
+            return ()
+        by = f"{1e3 * abs(delay):.4g} ms {'before' if delay > 0 else 'after'} the time beside it"
+        return (f"the force of {name} is that of the instants at which it was read, by its delay {by}",)
+
     def finish(self, values: Array, contributions: list[Contribution], **facts: object) -> ComponentForce:
         """Return the force; contributions of zero are left out, but for that of the dynamics."""
         found = [(part, part.deviation) for part in contributions]
@@ -249,7 +259,7 @@ class ComponentRecord(ABC):
             component=self.dynamics.component,
             values=values,
             uncertainty=np.asarray(np.sqrt(variance)),
-            assumptions=self.assumptions,
+            assumptions=(*self.assumptions, *self._read_late),
             budget=budget_of([part for part, _ in found]),
             contributions=tuple(part for part, _ in found),
             **facts,  # type: ignore[arg-type]

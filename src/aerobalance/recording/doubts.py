@@ -99,8 +99,8 @@ class Assumption:
     Attributes
     ----------
     kind
-        What it is: ``"load filter"``, ``"gain"``, ``"zero"``, ``"pitch zero"``, ``"roll zero"``, ``"mass"``,
-        ``"cross-axis"``, ``"natural frequency"``, ``"no readings"``, ``"colored noise"`` or ``"hum"``.
+        What it is: ``"load filter"``, ``"gain"``, ``"zero"``, ``"zero drift"``, ``"pitch zero"``, ``"roll zero"``,
+        ``"mass"``, ``"cross-axis"``, ``"natural frequency"``, ``"no readings"``, ``"colored noise"`` or ``"hum"``.
     component
         Component whose force is meant.
     text

@@ -52,8 +52,11 @@ class AssumptionSettings:
         Error of the zero of an angle of the balance [rad].
     mass
         Relative error of a mass [1].
+    drift
+        Change of the zero of a load from the beginning of a record to its end, over the largest load [1].
     matters
-        Effect of an angle's zero, or a natural frequency, over the scatter of the force, from which it is told.
+        Effect of an angle's zero, a drift, or a natural frequency, over the scatter of the force, from which it is
+        told.
     told
         Its standard uncertainty by the record, over that, up to which the record tells it.
     first
@@ -70,6 +73,7 @@ class AssumptionSettings:
     frequency: float = 0.005
     angle: float = float(np.radians(0.1))
     mass: float = 0.01
+    drift: float = 0.001
     matters: float = 0.1
     told: float = 0.5
     first: int = 1 << 15
@@ -121,6 +125,14 @@ def assumptions_of(
         )
         yield Assumption("zero", name, text, abs(shift), unit)
     least = SETTINGS.matters * float(np.sqrt(np.mean(fit.variance)))
+    drift = SETTINGS.drift * float(np.max(np.abs(reading.filled), initial=0.0))
+    if not record.recording.zero_after and drift / np.sqrt(3) > least:
+        text = (
+            f"the zero of {name} stays as it is while the run is recorded: one that moves steadily, by "
+            f"{100 * SETTINGS.drift:g} % of the largest load, would change the force by {{}}; a zero after the run "
+            "shows it"
+        )
+        yield _told("zero drift", name, text, float(drift / np.sqrt(3)), unit)
     yield from _beyond_readings(record.recording, fit, name, least=least)
     yield from _of_angles(record, unit, least=least)
     if moves_along_axis(record):
