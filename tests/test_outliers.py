@@ -308,6 +308,41 @@ def test_packets_that_are_lost_are_stuck(rng):
     assert np.flatnonzero(stuck_samples(lost)).tolist() == [place + k for place in places for k in range(5)]
 
 
+def test_readings_that_are_held_twice_are_stuck_where_there_are_several(rng):
+    """Of finely resolved readings three in a row are equal once in 1e8 records: one may be chance, ten are not."""
+    places, values = np.arange(100, 3700, 360), ringing(rng)
+    held = values.copy()
+    for later in (1, 2):
+        held[places + later] = held[places]
+    assert np.flatnonzero(stuck_samples(held)).tolist() == sorted([*(places + 1), *(places + 2)])
+    once = values.copy()
+    once[101:103] = once[100]
+    assert not stuck_samples(once).any()
+
+
+def test_packets_that_read_zero_are_lost_from_their_first_reading(rng):
+    """Four zeros at three places, where the signal passes zero: none of them is a reading."""
+    values = ringing(rng)
+    near = np.flatnonzero(np.diff(np.sign(values[200:3500]))) + 200
+    places = near[[10, near.size // 2, -10]]
+    lost = values.copy()
+    for place in places:
+        lost[place : place + 4] = 0.0
+    assert np.flatnonzero(stuck_samples(lost)).tolist() == [place + k for place in places for k in range(4)]
+
+
+def test_readings_of_five_digits_repeat_where_they_are_large(rng):
+    """A text with five digits has steps of 0.0001 N about 1 N, and of 0.1 N about 1000 N, where equal ones are chance.
+
+    Of 20,000 readings of which one in thirty equals the next, now and then four in a row are equal.
+    """
+    drift = 1500 * np.sin(2 * np.pi * np.arange(20_000) / 20_000)
+    values = np.array([float(f"{one:.5g}") for one in drift + rng.normal(0, 0.5, 20_000)])
+    # above 1000 N, half of the time, 0.1 / (2 sqrt(pi) 0.5) of them
+    assert np.count_nonzero(np.diff(values) == 0) > 300
+    assert not stuck_samples(values).any()
+
+
 def test_equal_readings_of_steps_and_of_what_is_worked_out_of_them_are_chance(rng):
     for step in (0.1, 0.5, 2.0, 4.0):
         values = np.round(rng.normal(0, 1.0, 20_000) / step) * step

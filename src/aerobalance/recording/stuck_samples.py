@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import comb
+from math import comb, lgamma, log
 from typing import Final
 
 import numpy as np
@@ -32,7 +32,7 @@ FEWEST_CHANGES: Final = 8
 """Changes in a record from which on they tell that probability; a channel with fewer was stuck beside them."""
 
 CHANCE: Final = 1e-9
-"""Probability that a run as long comes about by chance anywhere in the record."""
+"""Probability that as many runs as long come about by chance anywhere in the record."""
 
 ORDER: Final = 12
 """Order of the differences that show noise: of what is smooth over so many samples they leave next to nothing."""
@@ -68,9 +68,9 @@ def stuck_samples(values: Array) -> NDArray[np.bool_]:
     """Return which readings repeat the one before them in a run that is no chance, shape (n,).
 
     The first reading of a run may be sound and is kept, unless it lies farther from the one before than the signal
-    ever moves, as where a lost packet reads zero. None is told of a channel that never changes (`is_dead`), or
-    whose readings rest now and then by their nature: of an encoder, held between those of a slower converter, or
-    without noise, computed or below the step of the converter, which rest until the load changes.
+    ever moves, or several runs are of one value, as where lost packets read zero. None is told of a channel that never
+    changes (`is_dead`), or whose readings rest now and then by their nature: of an encoder, held between those of a
+    slower converter, or without noise, computed or below the step of the converter, which rest until the load changes.
 
     Parameters
     ----------
@@ -91,21 +91,42 @@ def stuck_samples(values: Array) -> NDArray[np.bool_]:
     share = first.size / changes if changes >= FEWEST_CHANGES else 0.0
     if share > MOST_EQUAL:
         return found
-    chance = min(max(share, LEAST_EQUAL), max(_equal_by_resolution(values), FINEST_EQUAL))
-    longest = 1 + np.log(CHANCE / values.size) / np.log(chance)
+    lengths = last - first + 1
+    # a text with so many digits has coarser steps where readings are large: pairs that are equal tell of them
+    pairs = np.count_nonzero(lengths == 2) / max(changes, FEWEST_CHANGES)
+    chance = min(max(share, LEAST_EQUAL), max(_equal_by_resolution(values), FINEST_EQUAL, pairs))
+    shortest = _no_chance(lengths, values.size, chance)
     for start, stop in zip(first, last, strict=True):
-        if stop - start + 1 > longest:
+        if stop - start + 1 >= shortest:
             found[start + 1 : stop + 1] = True
     if found.any() and _has_no_noise(values):
         found[:] = False
     runs = np.flatnonzero(found[1:] & ~found[:-1])  # the first reading of each run
+    _, which, often = np.unique(values[runs], return_inverse=True, return_counts=True)
+    same_again = runs[often[which] > 1]
     runs = runs[runs > 0]
     if runs.size:
         usual = np.abs(step)
         usual[runs - 1] = 0.0
         usual[found[:-1]] = 0.0  # within a run, and out of it
         found[runs[np.abs(step[runs - 1]) > LOST * np.nanmax(usual)]] = True
+    found[same_again] = True
     return found
+
+
+def _no_chance(lengths: NDArray[np.intp], samples: int, chance: float) -> float:
+    """Least number of equal readings that as many runs have as never come about by chance; infinite where none.
+
+    Of readings each of which equals the one before with the probability p, runs of m begin n p^(m - 1) times, and k of
+    them, where fewer than one is expected, come about with a probability of at most (n p^(m - 1))^k / k!. Pairs are
+    left alone: how often they are chance is told by themselves.
+    """
+    for least in range(3, int(lengths.max()) + 1):
+        count = int(np.count_nonzero(lengths >= least))
+        expected = log(samples) + (least - 1) * log(chance)
+        if expected < 0 and count * expected - lgamma(count + 1) < log(CHANCE):
+            return least
+    return np.inf
 
 
 def _equal_by_resolution(values: Array) -> float:
