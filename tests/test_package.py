@@ -61,6 +61,14 @@ def test_wheel_has_every_file_of_the_program(wheel) -> None:
     assert "aerobalance/py.typed" in there
 
 
+def test_the_module_is_the_command() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "aerobalance", "force", "none.csv"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 2
+    assert "aerobalance force" in done.stderr
+
+
 MASS, STIFFNESS, DAMPING, HELD, NOISE = 177.87, 3.4e7, 3000.0, 5000.0, 2.0
 COMMAND = """
 import sys
