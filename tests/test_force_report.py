@@ -39,14 +39,15 @@ def cells(page: str) -> list[list[str]]:
     ]
 
 
-def reported(folder: Path, monkeypatch, capsys, dynamics, *, components=("AF",)) -> tuple[dict, str]:
-    """A steady force under the weight, as the command works it out; 1 N of noise on each reading."""
+def reported(folder: Path, monkeypatch, capsys, dynamics, *, components=("AF",), tones=()) -> tuple[dict, str]:
+    """A steady force under the weight, as the command works it out; 1 N of noise on a reading; tones in Hz and N."""
     generator = np.random.default_rng(11)
     time = np.arange(3200) / 1600
     weight = MASS * STANDARD_GRAVITY * np.sin(PITCH)
     channels = {"pitch": Channel("pitch", np.full(time.size, PITCH), "rad")}
     for name in components:
         load = FORCE + (weight if name == "AF" else 0.0) + generator.normal(0, 1, time.size)
+        load += sum(size * np.sin(2 * np.pi * frequency * time) for frequency, size in tones)
         channels[name] = Channel(name, load, si_unit(name))
     run = Recording.from_columns(time, channels, name="run")
     monkeypatch.chdir(folder)
@@ -96,6 +97,20 @@ def test_an_rms_beyond_the_largest_value_is_explained_where_it_stands(tmp_path, 
     assert f"AF: the {text}" in capsys.readouterr().out
     loud = part | {"largest": part["mean"] + 1.01 * part["rms_about_mean"]}
     assert beyond_its_extremes(loud, "N") == ""
+
+
+def test_steady_tones_are_listed_with_their_amplitudes_in_the_force(tmp_path, monkeypatch, capsys) -> None:
+    damping = 2 * 0.006 * np.sqrt(STIFFNESS * MASS)
+    own = Dynamics("AF", MASS, STIFFNESS, damping)
+    driven = ((8.0, 90.0), (16.0, 45.0), (24.0, 30.0))
+    found, page = reported(tmp_path, monkeypatch, capsys, {"AF": own}, tones=driven)
+    tones = found["components"]["AF"]["tones"]
+    shown = [[f"{one['frequency']:.5g}", f"{one['amplitude']:.4g}"] for one in tones]
+    assert [row for row in cells(page) if row in shown] == shown
+    # 1 N of noise in 3200 readings leaves 0.025 N of an amplitude, and as much by its frequency: eight times as much
+    for (frequency, size), one in zip(driven, tones, strict=True):
+        assert one["amplitude"] == pytest.approx(size / abs(own.response(frequency)), abs=0.4)
+        assert one["frequency"] == pytest.approx(frequency, abs=0.01)
 
 
 def test_of_coupled_components_the_modes_are_listed(tmp_path, monkeypatch, capsys) -> None:
