@@ -1,11 +1,15 @@
 """How likely forces are that rows of polynomials make of the readings of coupled components.
 
-The forces' spectra are taken for constant over bands much wider than a resonance. The likelihood counts what the
-balance makes of a force as well, |det(1 + D s + A s^2)|, so other frequencies may be compared with each other.
+The forces' spectra are taken for constant over bands much wider than a resonance, and independent of each other. Lines
+of forces have the covariance diag(S_F) + W R W^H: the rows W make noise of one channel, of density R, noise of several
+forces. The likelihood counts all of it, and what the balance makes of a force as well, |det W|, so other frequencies,
+signs and orders may be compared with each other. Where there is little but noise, the covariance is W R W^H and its
+determinant |det W|^2 det R: nothing is told there, whatever the rows are. Taken for a noise of its own in every force,
+the same noise speaks for the rows that make it so.
 
-Where a change within one run's uncertainty is looked for, two things count that no doubt depends on
-(`RingingSpectra.joint_evidence`): the rows make noise of one channel noise of several forces, and beyond the end of a
-load there is only what the window leaks there from other frequencies, which other rows have at those frequencies.
+Where a change within one run's uncertainty is looked for, one more thing counts that no doubt depends on
+(`RingingSpectra.joint_evidence`): beyond the end of a load there is only what the window leaks there from other
+frequencies, which other rows have at those frequencies.
 """
 
 from __future__ import annotations
@@ -22,6 +26,7 @@ from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.driven_modes import values_and_rates
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.result import ComponentForce
+from aerobalance.estimation.spectra._kernels import ForceLines, likeliest_levels
 from aerobalance.estimation.spectra.periodogram import HANN_BANDWIDTH, HANN_WIDTH, LOBES, Periodogram
 from aerobalance.recording.channel import Array
 from aerobalance.recording.fourier import hann
@@ -39,8 +44,9 @@ class RingingSettings:
         Frequency up to which forces are compared, over the highest natural frequency.
     width, fewest
         Width of a band over its frequency, and ordinates in it at least.
-    iterations
-        Iterations by which the level of a band is found.
+    iterations, enough
+        Iterations at most by which the levels of a band are found, and gain in log-likelihood from which on no more
+        are made: some ten bands that differ by less do not add up to one.
     fine
         Points of an ordinate in which the determinant is averaged.
     stands_out
@@ -52,14 +58,16 @@ class RingingSettings:
         main lobe; a hundredth moves the slope of the likelihood by a hundredth of what chance does at one ordinate,
         and by a tenth of it over a hundred of them.
     noisy
-        Share of a reading's model that is noise, from which its correlation with others counts.
+        Share of a line's density that is noise, from which its correlation with others counts: below it the square of
+        their coherence is less than that, and so is what an ordinate tells by it.
     """
 
     samples: int = 1 << 15
     highest: float = 1.5
     width: float = 0.12
     fewest: int = 8
-    iterations: int = 6
+    iterations: int = 8
+    enough: float = 0.02
     fine: int = 2
     stands_out: float = 10.0
     in_common: float = 10.0
@@ -210,7 +218,9 @@ class RingingSpectra:
         """Spectral lines of the decoupled components' readings by other rows, shape (n, m)."""
         return np.asarray(np.einsum("ijp,ipjm->im", rows.forces, self.lines, optimize=True))
 
-    def evidence(self, rows: Rows, *, determinant: Array | None = None) -> Array:
+    def evidence(
+        self, rows: Rows, *, determinant: Array | None = None, told: NDArray[np.bool_] | None = None
+    ) -> Array:
         """Logarithm of the likelihood in every band, the levels of the forces there at their best, shape (bands,).
 
         Parameters
@@ -219,60 +229,28 @@ class RingingSpectra:
             The rows.
         determinant
             What `determinant` gives of them, where it is known.
+        told
+            Ordinates that count, shape (m,): those that are shown where none are given.
         """
-        power = np.abs(self.readings(rows)) ** 2
-        whole = rows.at(self.frequency)
-        quiet = np.einsum("mij,j->im", np.abs(whole) ** 2, self.noise)
-        widths = np.diff(np.append(self.bands, self.frequency.size))
-        level = np.maximum(_sums((power - quiet) / self.gain, self.bands) / widths, 0.0)
-        for _ in range(SETTINGS.iterations):
-            weight = (self.gain / (np.repeat(level, widths, axis=1) * self.gain + quiet)) ** 2
-            wanted = _sums(weight * (power - quiet) / self.gain, self.bands) / _sums(weight, self.bands)
-            level = np.maximum(wanted, 0.0)
-        model = np.repeat(level, widths, axis=1) * self.gain + quiet
+        told = self.shown if told is None else told
         volume = self.determinant(rows) if determinant is None else determinant
-        found = (volume - np.sum(np.log(model) + power / model, axis=0)) * self.shown
-        return np.asarray(np.add.reduceat(found, self.bands)) / HANN_BANDWIDTH
+        found = np.empty(self.bands.size)
+        lines = ForceLines(self.readings(rows), rows.at(self.frequency), self.noise, self.gain, told, SETTINGS.noisy)
+        likeliest_levels(lines, self.bands, SETTINGS.iterations, SETTINGS.enough, found)
+        return (found + np.add.reduceat(volume * told, self.bands)) / HANN_BANDWIDTH
 
     def joint_evidence(self, rows: Rows) -> float:
-        """Logarithm of the likelihood in all bands, with the noise that forces have in common.
+        """Logarithm of the likelihood in all bands, of ordinates that a force reaches itself.
 
-        Rows that mix channels put the noise of one into several forces. Where there is little but noise, its
-        determinant is that of the rows, whatever they are, and nothing is told; taken for another in every force, the
-        rows were likeliest that make it so. Beyond the end of a load there is what the window leaks: it has gone
-        through the rows at the frequencies that it comes from, and they are left out.
+        Beyond the end of a load there is what the window leaks: it has gone through the rows at the frequencies that
+        it comes from, and is left out.
 
         Parameters
         ----------
         rows
             The rows.
         """
-        lines, whole = self.readings(rows), rows.at(self.frequency)
-        power, shown = np.abs(lines) ** 2, self.shown & self.clear
-        quiet = np.einsum("mij,j->im", np.abs(whole) ** 2, self.noise)
-        widths = np.diff(np.append(self.bands, self.frequency.size))
-        above = np.where(shown, power - quiet, 0.0)
-        there = np.maximum(np.add.reduceat(shown.astype(float), self.bands), 1.0)
-        level = np.maximum(_sums(above / self.gain, self.bands) / there, 0.0)
-        for _ in range(SETTINGS.iterations):
-            weight = shown * (self.gain / (np.repeat(level, widths, axis=1) * self.gain + quiet)) ** 2
-            total = _sums(weight, self.bands)
-            level = np.maximum(_sums(weight * above / self.gain, self.bands) / np.where(total > 0, total, 1.0), 0.0)
-        model = (np.repeat(level, widths, axis=1) * self.gain + quiet)[:, shown]
-        power, quiet = power[:, shown], quiet[:, shown]
-        lost = np.sum(np.log(model) + power / model, axis=0)
-        noisy = (quiet > SETTINGS.noisy * model).any(axis=0)
-        if noisy.any():
-            scale = 1 / np.sqrt(model[:, noisy].T)
-            mixed = whole[shown][noisy] * np.sqrt(self.noise) * scale[:, :, None]
-            covariance = mixed @ mixed.conj().transpose(0, 2, 1)
-            own = np.arange(self.noise.size)
-            covariance[:, own, own] = 1.0
-            scaled = lines[:, shown][:, noisy].T * scale
-            solved = np.linalg.solve(covariance, scaled[:, :, None])[:, :, 0]
-            lost[noisy] += np.linalg.slogdet(covariance)[1] - np.sum(power[:, noisy] / model[:, noisy], axis=0)
-            lost[noisy] += np.real(np.sum(scaled.conj() * solved, axis=1))
-        return float(np.sum(self.determinant(rows)[shown] - lost)) / HANN_BANDWIDTH
+        return float(np.sum(self.evidence(rows, told=self.shown & self.clear)))
 
     def determinant(self, rows: Rows) -> Array:
         """Mean about every ordinate of the logarithm of the squared determinant of the rows, shape (m,)."""
