@@ -84,10 +84,18 @@ def other_shapes(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherSha
         order = np.arange(count)
         order[list(places)] = places[::-1]
         exchanged.append(("swapped channels", places, own.reordered(order)))
-    found = [ringing.evidence(rows, determinant=volume) for _, _, rows in exchanged]
-    # what is exchanged is so wherever the balance rings. Far above the lowest modes, where most channels have little
-    # but noise, wrong rows may seem likelier: the noise of one channel in all forces is taken for as many noises
-    gains = [-np.inf if contradicted(one, known) else gain_of(one, known) for one in found]
+    # what is exchanged is so wherever the balance rings. Where its modes are it is looked at first: that what is right
+    # is less likely there than what is known, by a factor e^-a, happens at most that often (Markov's inequality)
+    rings = ringing.about([mode.natural_frequency for mode in dynamics.modes])
+    there = rings[ringing.bands]
+    gains = []
+    for _, _, rows in exchanged:
+        found = ringing.evidence(rows, determinant=volume, told=ringing.shown & rings)
+        if float(np.sum((found - known)[there])) < -SETTINGS.decisive:
+            gains.append(-np.inf)
+            continue
+        found += ringing.evidence(rows, determinant=volume, told=ringing.shown & ~rings)
+        gains.append(-np.inf if contradicted(found, known) else gain_of(found, known))
     best = int(np.argmax(gains))
     gain, (kind, places, rows) = gains[best], exchanged[best]
     moved = moved_together(ringing, dynamics, known, least=max(gain, MOVED.moved))

@@ -14,7 +14,7 @@ frequencies, which other rows have at those frequencies.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -213,6 +213,12 @@ class RingingSpectra:
             clear,
             rows,
         )
+
+    def about(self, frequencies: Sequence[float]) -> NDArray[np.bool_]:
+        """Ordinates of the bands that some frequencies [Hz] are in, shape (m,)."""
+        widths = np.diff(np.append(self.bands, self.frequency.size))
+        inside = np.searchsorted(self.frequency[self.bands], np.array(frequencies), side="right") - 1
+        return np.repeat(np.isin(np.arange(self.bands.size), inside), widths)
 
     def readings(self, rows: Rows) -> NDArray[np.complex128]:
         """Spectral lines of the decoupled components' readings by other rows, shape (n, m)."""
