@@ -14,6 +14,7 @@ from typing import Any
 import numba
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
@@ -184,7 +185,54 @@ def spectral(kernels: ModuleType, numbers: tuple[np.ndarray, ...]) -> list[np.nd
     free[0, 3] = False
     lowered, cost = np.clip(points, lower, upper), np.zeros(len(points))
     kernels.lower_roll_offs(lowered, cost, free, reading, kernels.Search(lower, upper, STEPS, 1e-4, 0.8, DAMPING))
-    return [total, moved, path, *edges, cost, lowered]
+    likely = [np.zeros(5), np.zeros(5)]
+    forces = force_lines(kernels)
+    for share, found in zip((0.0, 1e-3), likely, strict=True):
+        kernels.likeliest_levels(forces._replace(share=share), np.array([0, 12, 24, 36, 40]), 8, 1e-9, found)
+    return [total, moved, path, *edges, cost, lowered, *likely]
+
+
+def force_lines(kernels: ModuleType) -> Any:
+    """Lines of three forces in five bands: noise in common hides two, one or all of them; the last is not told."""
+    rng = np.random.default_rng(6)
+    count = 44
+    rows = np.eye(3) + 0.3 * rng.normal(size=(count, 3, 3)) + 0.02j * rng.normal(size=(count, 3, 3))
+    rows[:, 1, 0], rows[:, 2, 0] = 30.0, 10.0  # noise of the first channel
+    noise, gain = np.array([1.0, 1e-2, 1e-4]), rng.uniform(0.5, 2.0, size=(3, count))
+    level = np.repeat([[30.0, 1.0, 0.0], [1e5, 1e4, 1e5], [0.0, 0.0, 0.0], [3.0, 1e3, 0.1]], [12, 12, 12, 8], axis=0)
+    drawn = rng.normal(size=(2, 3, count)) + 1j * rng.normal(size=(2, 3, count))
+    lines = drawn[0] * np.sqrt(level.T * gain / 2)
+    lines += np.einsum("mij,j,jm->im", rows, np.sqrt(noise / 2), drawn[1])
+    told = np.arange(count) < 40
+    told[5] = False
+    return kernels.ForceLines(lines, rows, noise, gain, told, 0.0)
+
+
+def test_levels_of_forces_are_the_likeliest(rng):
+    """Against a search by a library for the least of the same likelihood, written out with a determinant and inverse.
+
+    The lines' covariance is diag(gain * level) + W R W^H. Of one band less than 1e-6 is left to gain.
+    """
+    forces, bands = force_lines(spectral_kernels), [0, 12, 24, 36, 40]
+    found = np.zeros(5)
+    spectral_kernels.likeliest_levels(forces, np.array(bands), 30, 1e-9, found)
+
+    def lost(logarithms: np.ndarray, places: np.ndarray) -> float:
+        rows, lines = forces.rows[places], forces.lines[:, places].T
+        covariance = (rows * forces.noise) @ rows.conj().transpose(0, 2, 1)
+        covariance[:, range(3), range(3)] += np.exp(logarithms) * forces.gain[:, places].T
+        solved = np.linalg.solve(covariance, lines[..., None])[..., 0]
+        return float(np.sum(np.linalg.slogdet(covariance)[1]) + np.sum(lines.conj() * solved).real)
+
+    for one, (first, last) in enumerate(itertools.pairwise(bands)):
+        places = np.arange(first, last)[forces.told[first:last]]
+        starts = rng.uniform(-8, 12, size=(8, 3))
+        tried = [minimize(lost, start, (places,), method="Nelder-Mead", options=FINE).fun for start in starts]
+        assert -found[one] == pytest.approx(min(tried), abs=1e-5)
+    assert found[4] == 0
+
+
+FINE = {"xatol": 1e-6, "fatol": 1e-9, "maxfev": 4000}
 
 
 STEPS, DAMPING = 6, 1e-3
