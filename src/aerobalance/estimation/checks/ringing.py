@@ -102,6 +102,24 @@ class Rows:
             found = found * s + powers
         return found
 
+    def determinant(self, frequency: Array) -> Array:
+        """Logarithm of their squared determinant at frequencies of shape (m,) [Hz], shape (m,).
+
+        With P_0 + P_1 s + ... for the rows, det(1 + P_0^-1 P_1 s + ...) = prod(1 - s / s_i): 1 / s_i are the
+        eigenvalues of the companion matrix, in the first row of which are -P_0^-1 P_k.
+        """
+        scale = 2 * np.pi * float(frequency[-1])
+        along = 2 * np.pi * frequency / scale
+        first, *others = np.moveaxis(self.forces, -1, 0)
+        size = len(first)
+        companion = np.eye(len(others) * size, k=-size)
+        for place, power in enumerate(others):
+            companion[:size, place * size : (place + 1) * size] = -np.linalg.solve(first, power * scale ** (place + 1))
+        product = np.full(frequency.size, np.linalg.det(first) ** 2)
+        for one in np.linalg.eigvals(companion):
+            product *= (1 + along * one.imag) ** 2 + (along * one.real) ** 2
+        return np.asarray(np.log(product))
+
     def with_signs(self, signs: Array) -> Rows:
         """The same for channels of other signs, shape (n,)."""
         return Rows(self.forces * np.outer(signs, signs)[..., None])
@@ -243,7 +261,7 @@ class RingingSpectra:
         found = np.empty(self.bands.size)
         lines = ForceLines(self.readings(rows), rows.at(self.frequency), self.noise, self.gain, told, SETTINGS.noisy)
         likeliest_levels(lines, self.bands, SETTINGS.iterations, SETTINGS.enough, found)
-        return (found + np.add.reduceat(volume * told, self.bands)) / HANN_BANDWIDTH
+        return np.asarray(found + np.add.reduceat(volume * told, self.bands)) / HANN_BANDWIDTH
 
     def joint_evidence(self, rows: Rows) -> float:
         """Logarithm of the likelihood in all bands, of ordinates that a force reaches itself.
@@ -262,8 +280,8 @@ class RingingSpectra:
         """Mean about every ordinate of the logarithm of the squared determinant of the rows, shape (m,)."""
         step = self.frequency[1] - self.frequency[0]
         offsets = (np.arange(SETTINGS.fine) + 0.5) / SETTINGS.fine - 0.5
-        whole = rows.at((self.frequency[:, None] + step * offsets).ravel())
-        return np.asarray(2 * np.linalg.slogdet(whole)[1].reshape(-1, SETTINGS.fine).mean(axis=1))
+        places = (self.frequency[:, None] + step * offsets).ravel()
+        return np.asarray(rows.determinant(places).reshape(-1, SETTINGS.fine).mean(axis=1))
 
 
 def _own(power: Array) -> NDArray[np.bool_]:
