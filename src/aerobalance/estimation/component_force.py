@@ -47,7 +47,7 @@ from aerobalance.estimation.steps import columns_of
 from aerobalance.motion.platform import SystematicParameter
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
-from aerobalance.recording.doubts import DOUBTED, Doubt
+from aerobalance.recording.doubts import DOUBTED, SETTINGS, Doubt
 from aerobalance.recording.errors import FitError, argument, warn_quality
 from aerobalance.recording.noise import step_of
 from aerobalance.recording.sensors import load_gain_left
@@ -65,6 +65,12 @@ NOT_EXPLAINED: Final = "force that the model does not explain"
 
 HIDDEN_HARMONICS: Final = "harmonics of the load that noise hides"
 """Name of the error where a load that repeats may have more harmonics than are seen."""
+
+NOISE_OR_FORCE: Final = "what may be force or noise"
+"""Name of the error where a record does not tell far above the natural frequency which of them it shows."""
+
+COUNTS: Final = 0.1
+"""Rms of that over the rest of the uncertainty from which on it is counted."""
 
 BEYOND_THE_BAND: Final = "force beyond the band, and at the ends"
 """Name of the error of a direct inverse where the force is too fast for it or its past or future is not recorded."""
@@ -251,8 +257,6 @@ class Fitted:
         record, signal, fit = self.record, self.signal, self.smoothed
         reading, steps, learned = signal.reading, signal.steps, signal.learned
         doubts = list(self.doubts)
-        if signal.floor is not None and signal.floor.may_be_force:
-            doubts.append(signal.floor.doubt(record.dynamics.component, unit=si_unit(record.dynamics.component)))
         if signal.ended is not None:
             doubts.append(_search_ended(signal.ended))
         white = fit.innovations
@@ -367,10 +371,12 @@ class Fitted:
         for told, open_ in slow_noise_doubts(self.signal, component, unit=unit):
             yield [told] if told else [], [open_] if open_ else []
         floor = self.signal.floor
-        if floor is not None and floor.likelier_force:
-            shape = (np.linspace(0, 0.5 / reading.interval, FREQUENCIES) >= floor.first).astype(np.float64)
-            missing = np.full(count, floor.as_force)
-            yield [], [Noise("force taken for noise", component, missing, shape / shape.mean())]
+        if floor is not None:
+            rest = float(np.sqrt(np.mean(_deviation(errors) ** 2)))
+            told = floor.doubt(component, unit=unit) if floor.missing > SETTINGS.doubtful * rest else None
+            if floor.missing > COUNTS * rest:
+                missing = np.full(count, floor.missing)
+                yield [told] if told else [], [Noise(NOISE_OR_FORCE, component, missing, floor.density)]
         hidden = hidden_force(reading, learned, left=self.smoothed.residuals)
         if hidden is not None:
             told = hidden.doubt(component, unit=unit)

@@ -4,15 +4,23 @@ Above its natural frequency the response G of the balance to a force decreases. 
 explained either by a force with a piecewise constant spectrum, multiplied by |G|^2, or by a noise with a piecewise
 constant spectrum: by the one that needs fewer changes of level. Noise that is taken for force is amplified by 1 / |G|.
 Converters filter and interpolate, so that a record sampled far above the natural frequency always has such noise.
+
+Where the evidence decides for neither, the other explanation counts in the uncertainty by its probability.
+
+References
+----------
+.. [Wiener1949] N. Wiener, "Extrapolation, Interpolation, and Smoothing of Stationary Time Series", MIT Press (1949).
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.special import softmax
 
 from aerobalance.estimation.prior import (
     BESIDE_A_GAP,
@@ -21,10 +29,27 @@ from aerobalance.estimation.prior import (
     fit_prior,
     periodogram_of,
 )
+from aerobalance.estimation.spectra.noise_ordinates import Ordinates
+from aerobalance.estimation.spectra.noise_record import likeliest_humps
 from aerobalance.estimation.spectra.noise_spectrum import ShapedNoise
-from aerobalance.estimation.spectra.periodogram import Periodogram, share_seen
-from aerobalance.estimation.spectra.piecewise_psd import WEAKENED, NoiseLevels, fit_noise_levels
-from aerobalance.estimation.spectra.whittle import fit_spectrum, quiet_levels
+from aerobalance.estimation.spectra.parametric_psd import fit_roll_offs
+from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum, share_seen
+from aerobalance.estimation.spectra.piecewise_psd import (
+    CHANGE_EVIDENCE,
+    LEAK,
+    WEAKENED,
+    NoiseLevels,
+    fit_noise_levels,
+    sharpened,
+)
+from aerobalance.estimation.spectra.whittle import (
+    SpectrumFit,
+    expected_noise,
+    fit_spectra,
+    fit_spectrum,
+    likeliest_of,
+    quiet_levels,
+)
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.recording.channel import Array
 from aerobalance.recording.doubts import Doubt
@@ -51,9 +76,6 @@ FAST: Final = 0.375
 DEPARTURE: Final = 0.2
 """Logarithm of the ratio of powers above which the noise of a run differs from that of the record of noise."""
 
-NEARLY: Final = 0.8
-"""Frequency over half the sampling rate from which on a noise with a color leaves little to tell its white part by."""
-
 FEWEST_ORDINATES: Final = 64
 """Independent ordinates above the natural frequency from which on a noise floor is estimated."""
 
@@ -75,8 +97,17 @@ STANDS_OUT: Final = 3.0
 LASTING: Final = 0.5
 """Median over mean of the parts' powers beyond white noise, below which the excess is not stationary."""
 
-GRID: Final = 8193
+NO_WEIGHT: Final = 1e-9
+"""Weight of averages that are left out of a fit."""
+
+GRID: Final = 8192
 """Frequencies at which spectra are compared."""
+
+SMOOTH: Final = 1.5
+"""Numbers of a smooth part of a spectrum over those of a change, its level and its edge."""
+
+MARGIN: Final = 0.02
+"""Share of an error's power on either side of the band that is named."""
 
 CLOSE: Final = 0.03
 """Error of the root of the noise's density where it is approximated, over the root of its mean."""
@@ -84,50 +115,76 @@ CLOSE: Final = 0.03
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Floor:
-    """A noise that is not white.
+    """What a record shows that may be force or noise: one is taken, and the other is an error of the force.
 
     Attributes
     ----------
     first, last
-        Lowest and highest frequency at which its density exceeds `DIFFERENT` times its least one [Hz].
+        Frequencies between which that is [Hz].
     in_reading
-        Its root mean square in the reading, beyond white noise [N].
+        Its root mean square in the reading [N].
     as_force
-        Root mean square of a force that would look about as likely [N]; 0 where none does.
-    white
-        Standard deviation of its white part [N].
-    color
-        The part that is not white.
-    likelier_force
-        Whether a force in white noise as faint as its least density explains the record clearly better: then only few
-        frequencies are left without force, and they alone tell the noise.
+        Its root mean square as a force [N].
+    taken
+        Whether it is taken for force, and not for noise.
+    probability
+        Probability that it is the other [1].
+    missing
+        Root of the mean square error of the force by that, the mean over all explanations [N].
+    density
+        Spectrum of that error at even frequencies up to half the sampling rate, its mean 1 [1].
     """
 
     first: float
     last: float
     in_reading: float
     as_force: float
-    white: float
-    color: ShapedNoise
-    likelier_force: bool = False
-
-    @property
-    def may_be_force(self) -> bool:
-        """Whether a force would look much the same: where the balance weakens it, it is more than the reading."""
-        return self.as_force > self.in_reading
+    taken: bool
+    probability: float
+    missing: float
+    density: Array
 
     def doubt(self, component: str, *, unit: str) -> Doubt:
-        """Doubt that this noise may be a force that is missing from the result."""
-        seen = (
-            f"{component} shows {self.in_reading:.2g} {unit} rms between {self.first:.3g} and {self.last:.3g} Hz "
-            "above the white noise of its readings: it is taken for noise of the electronics and not for a force of "
-            f"{self.as_force:.2g} {unit} rms, which would look much the same and is then missing from the result"
+        """Doubt that it may be the other."""
+        seen = f"{component} shows {self.in_reading:.2g} {unit} rms between {self.first:.3g} and {self.last:.3g} Hz"
+        if self.taken:
+            seen += (
+                f" that is taken for a force of {self.as_force:.2g} {unit} rms; noise of the electronics would look "
+                f"much the same (probability {self.probability:.2g})"
+            )
+        else:
+            seen += (
+                " above the white noise of its readings: it is taken for noise of the electronics and not for a force "
+                f"of {self.as_force:.2g} {unit} rms, which would look much the same and is then missing from the "
+                f"result (probability {self.probability:.2g})"
+            )
+        seen += f": {self.missing:.2g} {unit} rms of the uncertainty are for that"
+        advice = (
+            f"state the noise of the channel, or give a record of noise alone ({argument('noise')}), which decides"
         )
-        if self.likelier_force:
-            seen += "; so little is left without force that the noise is not known: that is in the uncertainty"
-        effect = self.as_force if self.likelier_force else 0.0
-        advice = f"a record of noise alone ({argument('noise')}) decides"
-        return Doubt("colored noise", component, seen, advice, effect, unit)
+        return Doubt("colored noise", component, seen, advice, self.missing, unit)
+
+
+class _Color(NamedTuple):
+    """A noise that is not white: where it exceeds its least density [Hz], its white part [N], and the rest."""
+
+    first: float
+    last: float
+    white: float
+    color: ShapedNoise
+
+
+class _Explanation(NamedTuple):
+    """Force and noise that explain a record, and the evidence for them.
+
+    The noise is what it most likely is and what it is expected to be, at the frequencies of `_grid`: of a noise that
+    the record hardly shows zero may be likeliest.
+    """
+
+    force: Spectrum
+    likeliest: Array
+    expected: Array
+    evidence: float
 
 
 def with_floor(reading: Observation, *, left: Array) -> tuple[Observation, Floor | None]:
@@ -157,18 +214,96 @@ def with_floor(reading: Observation, *, left: Array) -> tuple[Observation, Floor
         left, first=rising, interval=reading.interval, noise=np.sqrt(starts[0] / reading.interval)
     ):
         reading = replace(reading, rising=True)
-    colored = [
+    levels = [
         one
         for one in found
         if one.density.max() > DIFFERENT * one.density.min() and not _rings(one, periodogram.frequency)
     ]
-    colored += [other for one in colored for other in _continued(one, periodogram)]
-    floor = _likeliest(reading, periodogram, colored, left=left, given=given) if colored else None
-    if floor is None or not lasts(
-        left, first=floor.first, last=floor.last, interval=reading.interval, noise=floor.white
-    ):
+    priced = [
+        (one, _with_edges(one, periodogram), CHANGE_EVIDENCE * int(np.count_nonzero(np.diff(one.density))))
+        for one in (*levels, *(other for one in levels for other in _continued(one, periodogram)))
+    ]
+    fits = fit_spectra(periodogram, noise_density=given, floor=least, rising=reading.rising)
+    forces = [_force_in_white(reading, periodogram, fit, share=share, known=given is not None) for fit in fits]
+    force = forces[fits.index(likeliest_of(fits))]
+    apart = _apart(force.force, periodogram)
+    for where in (*(one.seen for one in levels), apart):
+        priced += _smooth(periodogram, where, least=given or least)
+    others = [one for one in forces if _is_other(one, force)]
+    if not priced:
+        return reading, _left_open(reading, force, others)
+    color, noise = _likeliest(reading, periodogram, priced)
+    if not lasts(left, first=color.first, last=color.last, interval=reading.interval, noise=color.white):
         return reading, None
-    return replace(reading, color=floor.color, noise=floor.white), floor
+    # by itself, what is there beyond a gap in the spectrum of the force is likelier to be noise
+    if noise.evidence < force.evidence - (DECISIVE if apart.any() else 0.0):
+        return reading, _left_open(reading, force, [noise, *others])
+    return replace(reading, color=color.color, noise=color.white), _left_open(reading, noise, [force, *others])
+
+
+def _grid(reading: Observation) -> Array:
+    """Frequencies at which explanations are compared, shape (GRID,) [Hz]."""
+    return np.linspace(0, 0.5 / reading.interval, GRID + 1)[1:]
+
+
+def _force_in_white(
+    reading: Observation, periodogram: Periodogram, fit: SpectrumFit, *, share: float, known: bool
+) -> _Explanation:
+    """A force in white noise, whose density may be known."""
+    expected = fit.noise_density if known else expected_noise(periodogram, fit)
+    if expected < DIFFERENT * fit.noise_density:  # it is known
+        expected = fit.noise_density
+    likeliest, mean = (np.full(GRID, density / share) for density in (fit.noise_density, expected))
+    return _Explanation(fit.spectrum, likeliest, mean, _evidence_of(fit))
+
+
+def _is_other(one: _Explanation, force: _Explanation) -> bool:
+    """Whether the noise differs: else a force is the same but for its edges, which are known to an ordinate."""
+    return one is not force and bool(abs(np.log(one.likeliest[0] / force.likeliest[0])) > np.log(DIFFERENT))
+
+
+def _left_open(reading: Observation, taken: _Explanation, others: Sequence[_Explanation]) -> Floor | None:
+    """What the other explanations of a record would be as errors of the force; None where they are nothing.
+
+    A filter W = S / (S + N) by what is taken for the spectra S of the force and N of the noise has an error of
+    spectrum (1 - W)^2 S' + W^2 N' where they are S' and N' [Wiener1949]_. Its mean over all explanations, each by its
+    evidence, less what is expected of those that are taken is what is not in the uncertainty yet. Beside the resonance
+    the readings tell the force whatever the noise is.
+    """
+    frequency = _grid(reading)
+    gain = np.abs(reading.dynamics.response(frequency)) ** 2
+    every = [taken, *others]
+    weight = softmax([one.evidence for one in every])
+    force = taken.force.density(frequency)
+    noise = taken.likeliest / gain + reading.input_density
+    passed = force / (force + noise)
+    error = -force * passed * noise / np.maximum(force, 1e-300)
+    for one, probability in zip(every, weight, strict=True):
+        error += probability * (1 - passed) ** 2 * one.force.density(frequency)
+        error += probability * passed**2 * (one.expected / gain + reading.input_density)
+    error = np.where(gain < WEAKENED, np.maximum(error, 0.0), 0.0)
+    width = float(frequency[0])
+    missing = float(np.sqrt(2 * width * np.sum(error)))
+    if not missing > 0:
+        return None
+    below = np.cumsum(error) / np.sum(error)
+    first, last = (float(frequency[np.searchsorted(below, share)]) for share in (MARGIN, 1 - MARGIN))
+    other = max(others, key=lambda one: one.evidence, default=taken)
+    less = other.force.density(frequency) - force
+    inside = (frequency >= first) & (frequency <= last)
+    as_force, in_reading = (
+        float(np.sqrt(2 * width * np.sum(np.abs(one * less)[inside]))) for one in (np.ones(GRID), gain)
+    )
+    return Floor(
+        first=first,
+        last=last,
+        in_reading=in_reading,
+        as_force=as_force,
+        taken=bool(np.sum(less[inside]) < 0),
+        probability=float(1 - weight[0]),
+        missing=missing,
+        density=error / np.mean(error),
+    )
 
 
 def _continued(found: NoiseLevels, periodogram: Periodogram) -> Iterator[NoiseLevels]:
@@ -192,45 +327,122 @@ def _rings(found: NoiseLevels, frequency: Array) -> bool:
     return bool(highest > STANDS_OUT * float(beside.max()))
 
 
+def _apart(force: Spectrum, periodogram: Periodogram) -> NDArray[np.bool_]:
+    """Where the balance weakens a force that begins again beyond a gap of its spectrum, the gap included, (m,).
+
+    A line is none: noise of electronics is broad.
+    """
+    nowhere = np.zeros(periodogram.gain.size, dtype=np.bool_)
+    gaps = np.flatnonzero(force.levels[:-1] == 0)
+    if not gaps.size:
+        return nowhere
+    begins = float(force.edges[gaps[-1]])
+    ends = float(force.edges[np.flatnonzero(force.levels)[-1]])
+    if ends - begins < 2 * NARROW * begins:
+        return nowhere
+    first = float(force.edges[gaps[-1] - 1]) if gaps[-1] else 0.0
+    return (periodogram.gain < WEAKENED) & (periodogram.frequency > first + periodogram.step * LEAK)
+
+
+def _without_balance(periodogram: Periodogram, where: NDArray[np.bool_]) -> Periodogram:
+    """The same for what the balance does not weaken, with only some of its averages, shape (m,)."""
+    return replace(
+        periodogram,
+        gain=np.ones(where.size),
+        folded_gain=np.ones(where.size),
+        weight=np.where(where, periodogram.weight, NO_WEIGHT),
+        ordinates=np.stack([*periodogram.ordinates[:2], np.ones(periodogram.ordinates.shape[1])]),
+        input_density=0.0,
+        color=np.repeat(periodogram.background(0.0), periodogram.count),
+        gains_above={},
+    )
+
+
+def _with_edges(found: NoiseLevels, periodogram: Periodogram) -> Array:
+    """Density of levels, their edges placed as those of a force are and seen through the same window, shape (m,)."""
+    alone = _without_balance(periodogram, found.seen)
+    last = np.append(np.flatnonzero(np.diff(found.density)), found.density.size - 1)
+    edges = (alone.frequency[last] + alone.frequency[np.minimum(last + 1, found.density.size - 1)]) / 2
+    edges[-1] = 0.5 / periodogram.interval
+    white = float(found.density.min())
+    return alone.load(sharpened(Spectrum(edges, found.density[last] - white), alone, white)) + white
+
+
+def _smooth(
+    periodogram: Periodogram, where: NDArray[np.bool_], *, least: float
+) -> Iterator[tuple[NoiseLevels, Array, float]]:
+    """Noise with broad humps, and noise that rolls off, fitted to some averages, with the price of either.
+
+    What is smooth needs many levels, and then a force, which the balance makes fall by itself, may need fewer.
+
+    Parameters
+    ----------
+    periodogram
+        Of the reading.
+    where
+        Averages that show noise and no force, shape (m,).
+    least
+        Least density of the white noise as the periodogram sees it [N^2/Hz].
+    """
+    if float(np.sum(periodogram.weight[where])) < FEWEST_ORDINATES:
+        return
+    frequency = periodogram.frequency
+    seen = Ordinates(
+        frequency[where],
+        periodogram.density[where],
+        periodogram.weight[where],
+        periodogram.gain[where],
+        periodogram.background(0.0)[where],
+        periodogram.interval,
+        (),
+    )
+    white, humps = likeliest_humps(seen)
+    smooth = white + sum((one.sampled(frequency, periodogram.interval) for one in humps), np.zeros(where.size))
+    found = [(smooth, len(humps))]
+    alone = _without_balance(periodogram, where)
+    start = float(np.min(quiet_levels(alone)))
+    found += [(alone.load(one) + white, 1) for one, white in fit_roll_offs(alone, [start], floor=least)]
+    first = int(np.flatnonzero(where)[0])
+    for density, parts in found:
+        # below what shows it it goes on as it is there, as levels do
+        flat = np.maximum(np.where(np.arange(where.size) < first, density[first], density), least)
+        noise = NoiseLevels(flat, where)
+        if flat[where].max() > DIFFERENT * flat.min() and not _rings(noise, frequency):
+            yield noise, flat, SMOOTH * CHANGE_EVIDENCE * parts
+
+
 def _likeliest(
-    reading: Observation, periodogram: Periodogram, found: Sequence[NoiseLevels], *, left: Array, given: float | None
-) -> Floor | None:
-    """The likeliest colored noise; None where a force in white noise explains the record clearly better."""
-    share, best, evidence = share_seen(reading.present), None, -np.inf
-    for one in found:
-        floor = _floor(reading, periodogram, one, share=share)
-        colored = periodogram_of(replace(reading, color=floor.color), left, share=share)
-        white = share * floor.white**2 * reading.interval
-        fit = fit_spectrum(colored, noise_density=white, rising=reading.rising)
-        if fit.evidence - _schwarz_penalty(one, periodogram) > evidence:
-            best, evidence = floor, fit.evidence - _schwarz_penalty(one, periodogram)
-    if best is None:
-        return None
-    # the competitor that segments cannot imitate: a force that rolls off into white noise
-    least = reading.least_noise**2 * reading.interval
-    plain = fit_spectrum(periodogram, noise_density=given, floor=least, smooth=True)
-    if evidence > plain.evidence + DECISIVE:
-        # a force nearly up to half the rate leaves too little to begin with the level of the noise
-        if given is not None or best.last < NEARLY * 0.5 / reading.interval:
-            return best
-        wide = fit_spectrum(periodogram, noise_density=share * best.white**2 * reading.interval)
-        if wide.evidence < evidence + DECISIVE:
-            return best
-        frequency = np.linspace(best.first, 0.5 / reading.interval, GRID)
-        as_force = float(np.sqrt(2 * np.trapezoid(wide.spectrum.density(frequency), frequency)))
-        return replace(best, as_force=as_force, likelier_force=as_force > best.in_reading)
-    frequency = np.linspace(best.first, 0.5 / reading.interval, GRID)
-    as_force = float(np.sqrt(2 * np.trapezoid(plain.spectrum.density(frequency), frequency)))
-    return replace(best, as_force=as_force) if evidence > plain.evidence - DECISIVE else None
+    reading: Observation, periodogram: Periodogram, found: Sequence[tuple[NoiseLevels, Array, float]]
+) -> tuple[_Color, _Explanation]:
+    """The likeliest of some noises that are not white, with the force beside it.
+
+    Parameters
+    ----------
+    reading, periodogram
+        The record.
+    found
+        Noises, each with its density as the periodogram shows it, shape (m,), and the price of its numbers.
+    """
+    fits = []
+    for _, density, price in found:
+        least = float(density.min())
+        beyond = np.repeat(density - least, periodogram.count)
+        fit = fit_spectrum(replace(periodogram, color=beyond), noise_density=least, rising=reading.rising)
+        fits.append((_evidence_of(fit) - price, fit.spectrum))
+    best = max(range(len(fits)), key=lambda place: fits[place][0])
+    noise = _color(reading, periodogram, found[best][0], share=share_seen(reading.present))
+    whole = noise.white**2 * reading.interval + noise.color.density(_grid(reading))
+    return noise, _Explanation(fits[best][1], whole, whole, fits[best][0])
 
 
-def _schwarz_penalty(found: NoiseLevels, periodogram: Periodogram) -> float:
-    """Penalty of the Bayesian information criterion (Schwarz) for the levels of a noise and their edges [1]."""
-    changes = np.count_nonzero(np.diff(found.density))
-    return changes * float(np.log(np.sum(periodogram.weight)))
+def _evidence_of(fit: SpectrumFit) -> float:
+    """Log-likelihood of a force less the price of its changes of level, with which segments are looked for."""
+    spectrum = fit.spectrum
+    changes = SMOOTH if spectrum.roll_off else max(spectrum.levels.size - 1, 0)
+    return fit.log_likelihood - CHANGE_EVIDENCE * changes
 
 
-def _floor(reading: Observation, periodogram: Periodogram, found: NoiseLevels, *, share: float) -> Floor:
+def _color(reading: Observation, periodogram: Periodogram, found: NoiseLevels, *, share: float) -> _Color:
     """The noise of a record as a filter of white noise, fitted to its levels."""
     profile = found.density / share
     interval, frequency = reading.interval, periodogram.frequency
@@ -250,10 +462,8 @@ def _floor(reading: Observation, periodogram: Periodogram, found: NoiseLevels, *
 
     shaping = ShapingFilter.of_spectrum(whole, centre=centre, tolerance=CLOSE * float(np.sqrt(mean)))
     colored = frequency[found.seen & (profile > DIFFERENT * white)]
-    power = 2 * periodogram.step * float(np.sum(periodogram.count * above))
-    color = ShapedNoise(shaping, interval)
     first, last = float(colored[0]), float(colored[-1])
-    return Floor(first, last, float(np.sqrt(power)), 0.0, float(np.sqrt(white / interval)), color)
+    return _Color(first, last, float(np.sqrt(white / interval)), ShapedNoise(shaping, interval))
 
 
 def lasts(left: Array, *, first: float, interval: float, noise: float, last: float = np.inf) -> bool:

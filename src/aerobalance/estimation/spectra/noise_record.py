@@ -104,6 +104,20 @@ def likeliest_slow(start: Array, seen: Ordinates, usual: tuple[float, float]) ->
     return _spectrum_of(point, seen, usual=usual), point
 
 
+def likeliest_humps(seen: Ordinates) -> tuple[float, tuple[Hump, ...]]:
+    """Density of white noise [N^2/Hz], and the humps beside it that there is evidence for.
+
+    Parameters
+    ----------
+    seen
+        The record; what is `fixed` in it may be a force as well.
+    """
+    mean = float(np.average(seen.density, weights=seen.weight))
+    plain = np.array([np.log(float(np.median(seen.density))), -np.inf, 1.0])
+    point = _with_humps(*_lowered(plain, seen, mean), seen, mean, slow=False)
+    return float(np.exp(point[0])), humps_of(point)
+
+
 def _spectrum_of(point: Array, seen: Ordinates, *, usual: tuple[float, float] = ANY_EXPONENT) -> NoiseSpectrum:
     """The spectrum of a point."""
     covariance = _covariance(point, seen, usual=usual)
@@ -190,10 +204,15 @@ def fitted(seen: Ordinates) -> Array:
     trial, cost = min((_lowered(start, seen, mean) for start in _slow_starts(best, seen)), key=lambda pair: pair[1])
     if here - cost > COLOR_EVIDENCE and _corner_inside(trial, seen):
         best, here = trial, cost
+    return _with_humps(best, here, seen, mean, slow=True)
+
+
+def _with_humps(best: Array, here: float, seen: Ordinates, mean: float, *, slow: bool) -> Array:
+    """The likeliest point of a cost with as many humps as there is evidence for, with a 1/f part or without."""
     for _ in range(MOST_HUMPS):
         start = _hump_start(best, seen)
         trials = [_lowered(np.concatenate([best, start]), seen, mean)]
-        if not np.isfinite(best[1]):  # a hump may have hidden the corner
+        if slow and not np.isfinite(best[1]):  # a hump may have hidden the corner
             trials += [
                 _lowered(np.concatenate([other, start]), seen, mean) for other in _slow_starts(best[:3], seen)[:1]
             ]

@@ -103,7 +103,7 @@ def fit_segments(periodogram: Periodogram, noise: float, *, rising: bool = False
     edges[-1] = 0.5 / periodogram.interval
     rough = Spectrum(edges[kept], np.array(found)[kept])
     rough = pruned(rough, lambda spectrum: periodogram.log_likelihood(periodogram.load(spectrum), noise), worth=WORTH)
-    return _sharpened(rough, periodogram, noise)
+    return sharpened(rough, periodogram, noise)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -315,7 +315,7 @@ def _cheapest(cost: Array) -> NDArray[np.int64]:
     return path
 
 
-def _sharpened(spectrum: Spectrum, periodogram: Periodogram, noise: float) -> Spectrum:
+def sharpened(spectrum: Spectrum, periodogram: Periodogram, noise: float) -> Spectrum:
     """The edges placed again among single ordinates, with what the window leaks across them."""
     first, step = float(periodogram.ordinates[0, 0]), periodogram.step
     places = (np.append(0.0, spectrum.edges) - first) / step

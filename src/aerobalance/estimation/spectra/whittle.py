@@ -10,10 +10,12 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from scipy.special import gammaincinv
 
 from aerobalance.estimation.spectra.parametric_psd import fit_roll_offs, refit_roll_off
 from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum
@@ -38,6 +40,23 @@ BANDS: Final = 32
 
 COLORED: Final = 1.2
 """Ratio of the levels of the reading's upper quarter and its quiet bands, from which both are tried as the noise."""
+
+ANOTHER: Final = 1.0
+"""Gain in evidence from which on a fit from another noise is another one, and not the same but for rounding."""
+
+FAINTER: Final = (1.0, 0.25)
+"""Densities of the noise to begin with over the level of the faintest band: a force up to half the sampling rate is
+the level of that as well, and its edge is looked for too low where as much again is taken for noise."""
+
+FAINT_CHANCE: Final = 0.01
+"""Probability with which chance makes one of bands of the same density so faint that these are tried."""
+
+
+FAINTEST: Final = 1e-6
+"""Least density of a noise over the largest that is tried where its mean is asked for."""
+
+TRIED: Final = 256
+"""Densities that are tried."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,11 +108,49 @@ def fit_spectrum(
         Density of the noise that was found with nearly the same dynamics [N^2/Hz]: it is begun with in place of a
         quiet level about it, and needs no further turn where it is the same.
     """
+    return likeliest_of(
+        fit_spectra(periodogram, noise_density=noise_density, floor=floor, smooth=smooth, rising=rising, near=near)
+    )
+
+
+def likeliest_of(fits: Sequence[SpectrumFit]) -> SpectrumFit:
+    """Return the likeliest of some fits, the first where they are the same but for rounding."""
+    best = fits[0]
+    for fit in fits[1:]:
+        if fit.evidence > best.evidence + ANOTHER:
+            best = fit
+    return best
+
+
+def fit_spectra(
+    periodogram: Periodogram,
+    *,
+    noise_density: float | None = None,
+    floor: float = 0.0,
+    smooth: bool = False,
+    rising: bool = False,
+    near: float | None = None,
+) -> list[SpectrumFit]:
+    """Find what a force may be: the likeliest from usual levels of the noise, and those with a fainter noise.
+
+    Its arguments are those of `fit_spectrum`.
+    """
     starts = quiet_levels(periodogram) if noise_density is None else [noise_density]
     if near is not None and noise_density is None and starts[0] / COLORED < near < starts[0] * COLORED:
         starts[0] = near
-    noises = [max(start, floor) for start in starts]
     least = floor if noise_density is None else None
+    faint = _faint(periodogram) if noise_density is None else []
+    return [
+        _likeliest(periodogram, some, floor=floor, least=least, smooth=smooth, rising=rising)
+        for some in (starts, *([one] for one in faint))
+    ]
+
+
+def _likeliest(
+    periodogram: Periodogram, starts: list[float], *, floor: float, least: float | None, smooth: bool, rising: bool
+) -> SpectrumFit:
+    """The likeliest of all kinds of spectra, from some densities of the noise."""
+    noises = [max(start, floor) for start in starts]
     nothing = Spectrum(np.zeros(0), np.zeros(0))
     fits = [
         *(_with_noise(nothing, periodogram, noise, floor=least) for noise in noises if not smooth),
@@ -172,13 +229,41 @@ def _with_noise(spectrum: Spectrum, periodogram: Periodogram, noise: float, *, f
     return SpectrumFit(spectrum, noise, likelihood, likelihood - price)
 
 
+def expected_noise(periodogram: Periodogram, fit: SpectrumFit) -> float:
+    """Mean of the noise's density by its likelihood, every density being as likely as another beforehand [N^2/Hz].
+
+    A force up to half the sampling rate leaves little to tell it by, and none at all may then be the likeliest.
+    """
+    most = 2 * max(float(np.min(_levels_of_bands(periodogram)[0])), fit.noise_density)
+    tried = np.geomspace(FAINTEST * most, most, TRIED)
+    model = (periodogram.load(fit.spectrum) + periodogram.background(0.0))[:, None] + tried
+    likelihood = -(periodogram.weight @ (np.log(model) + periodogram.density[:, None] / model))
+    weight = np.exp(likelihood - likelihood.max()) * tried  # the densities that are tried are a constant ratio apart
+    return float(weight @ tried / np.sum(weight))
+
+
 def quiet_levels(periodogram: Periodogram) -> list[float]:
     """Densities of the noise to begin with: the lower quartile of the bands' levels, the mean of the upper ones."""
-    place = (periodogram.frequency * periodogram.interval * 2 * BANDS).astype(int)
-    weight = np.bincount(place, periodogram.weight)
-    levels = np.bincount(place, periodogram.weight * periodogram.density)[weight > 0] / weight[weight > 0]
+    levels, _ = _levels_of_bands(periodogram)
     quiet, upper = float(np.sort(levels)[len(levels) // 4]), float(np.mean(levels[-(BANDS // 4) :]))
     return [quiet, upper] if upper > COLORED * quiet else [quiet]
+
+
+def _faint(periodogram: Periodogram) -> list[float]:
+    """Densities of the noise to begin with where a band is fainter than the quiet ones by more than chance."""
+    levels, weight = _levels_of_bands(periodogram)
+    place = int(np.argmin(levels))
+    quiet = float(np.sort(levels)[levels.size // 4])
+    by_chance = float(gammaincinv(weight[place], FAINT_CHANCE / levels.size)) / weight[place]
+    return [share * float(levels[place]) for share in FAINTER] if levels[place] < by_chance * quiet else []
+
+
+def _levels_of_bands(periodogram: Periodogram) -> tuple[Array, Array]:
+    """Mean density of the reading [N^2/Hz] and independent ordinates of each band that has one, shape (b,) each."""
+    place = (periodogram.frequency * periodogram.interval * 2 * BANDS).astype(int)
+    weight = np.bincount(place, periodogram.weight)
+    levels = np.bincount(place, periodogram.weight * periodogram.density)
+    return levels[weight > 0] / weight[weight > 0], np.asarray(weight[weight > 0], dtype=np.float64)
 
 
 def _noise_level(periodogram: Periodogram, load: Array, start: float) -> float:
