@@ -33,10 +33,6 @@ LEAST: Final = 1e-3
 BINS: Final = 4096
 """Frequencies at which the spectrum of an error is kept: a line is narrow."""
 
-STRONGER: Final = 3.0
-"""Amplitude of a harmonic that is not seen over the largest that is, as the standard deviation of what may be: a
-fundamental is mostly the strongest, and rectifiers make harmonics of a third and a fifth of it."""
-
 COUNTS: Final = 0.1
 """Rms of a hidden harmonic over the rest of the uncertainty from which on it is counted."""
 
@@ -116,7 +112,8 @@ def hidden_harmonics(
 
     Lines of hum tell its frequency. At each other multiple the reading has the amplitude a of a line with the variance
     V of what else is there, so that with the variance P of an amplitude before it was read, its mean square is
-    (P a / (P + V))^2 + P V / (P + V). Of that the force has the part that is not taken for noise.
+    (P a / (P + V))^2 + P V / (P + V). Of that the force has the part that is not taken for noise. P is that of the
+    lines that are seen, as harmonics of a current with jumps are: their amplitudes fall as one over their number.
 
     Parameters
     ----------
@@ -136,16 +133,17 @@ def hidden_harmonics(
     _, mains = min((abs(leader.frequency / one - round(leader.frequency / one)) * one, one) for one in MAINS)
     fundamental = leader.frequency / round(leader.frequency / mains)
     known = [*lines, *of_load]
-    frequencies = np.array(
+    numbers = np.array(
         [
-            frequency
-            for frequency in fundamental * np.arange(1, MOST_HARMONICS + 1)
-            if frequency < 0.5 / reading.interval
-            and not any(abs(frequency / line.frequency - 1) < NEAR for line in known)
+            number
+            for number in range(1, MOST_HARMONICS + 1)
+            if number * fundamental < 0.5 / reading.interval
+            and not any(abs(number * fundamental / line.frequency - 1) < NEAR for line in known)
         ]
     )
-    if not frequencies.size:
+    if not numbers.size:
         return []
+    frequencies = fundamental * numbers
     window = np.hanning(left.size + 2)[1:-1] * reading.present
     window /= window.sum()
     columns = columns_of_lines(frequencies.tolist(), count=left.size, interval=reading.interval)
@@ -154,7 +152,7 @@ def hidden_harmonics(
     gain = np.abs(reading.dynamics.response(frequencies)) ** 2
     force, noise = gain * learned.spectrum.density(frequencies), learned.noise**2 * reading.interval
     other = 4 * (force + noise) / reading.interval * float(window @ window)
-    before = (STRONGER * max(line.amplitude for line in lines)) ** 2
+    before = (max(line.amplitude * round(line.frequency / fundamental) for line in lines) / numbers) ** 2
     square = (before / (before + other)) ** 2 * read + before * other / (before + other)
     rms = force / (force + noise) * np.sqrt(square / (2 * gain))
     return [(float(frequency), float(size)) for frequency, size in zip(frequencies, rms, strict=True)]
@@ -185,8 +183,8 @@ def hidden_doubts(
         return None, errors
     where = ", ".join(f"{frequency:.5g}" for frequency, _ in counted)
     text = (
-        f"{component} has hum of the mains, of which a force may hide more at {where} Hz: by what is read "
-        f"there, and up to about {STRONGER:g} times as strong as the lines that are seen, it may be an error of "
+        f"{component} has hum of the mains, of which a force may hide more at {where} Hz: by what is read there, and "
+        "as strong as harmonics that fall as one over their number from those that are seen, it may be an error of "
         f"{effect:.2g} {unit} rms; that is in the uncertainty"
     )
     advice = (
