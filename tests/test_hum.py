@@ -293,3 +293,25 @@ def test_what_a_force_may_hide_is_bounded_by_what_is_read_and_by_the_lines_that_
         # 200 Hz and on are above the force
         assert [round(frequency) for frequency, _ in more] == [*range(200, 800, 50)]
         assert max(size for _, size in more) == 0
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_a_steady_tone_of_the_load_at_the_mains_is_in_the_uncertainty(seed):
+    """Within the load's band a line of hum has the size of a tone of the force: each is as likely."""
+    rng = np.random.default_rng(seed)
+    count, interval, n = 4000, 1 / RATE, 16000
+    frequency = np.fft.rfftfreq(n, interval)
+    lines = (rng.normal(size=frequency.size) + 1j * rng.normal(size=frequency.size)) * (frequency < 80)
+    lines *= 60 / np.std(np.fft.irfft(lines, n))
+    # 35 N at 50 Hz, a line of the period of the long record, at a phase of its own
+    lines[round(50 * n * interval)] = 35 * n / 2 * np.exp(1j * rng.uniform(0, 6))
+    force, load = (np.fft.irfft(part, n)[:count] for part in (lines, lines * T128.response(frequency)))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)
+        found = estimate_force(record_of(load + rng.normal(0, 1.0, count)), T128)
+    error = np.sqrt(np.mean((found.only.values - force) ** 2))
+    # taken for hum, 35 N / 2^1/2 are missing and half of their square is counted, besides what else is not known
+    assert error < 1.5 * np.sqrt(np.mean(found.only.uncertainty**2))
+    if found.only.hum:
+        assert [doubt.kind for doubt in found.doubts] == ["hum"]
+        assert found.verdict is not Verdict.FIT

@@ -19,7 +19,7 @@ from aerobalance.estimation.checks.ground_alignment import ChannelAlignment, alo
 from aerobalance.estimation.checks.ground_channels import GroundFault
 from aerobalance.estimation.checks.ground_doubts import ground_doubts
 from aerobalance.estimation.checks.ground_witnesses import SETTINGS as GROUND_CHANNELS
-from aerobalance.estimation.checks.mains_hum import hidden_doubts, hidden_harmonics, hum_doubts
+from aerobalance.estimation.checks.mains_hum import hidden_doubts, hidden_harmonics, hum_doubts, lines_within_load
 from aerobalance.estimation.checks.model_error import as_noise, error_behind
 from aerobalance.estimation.checks.resolution import resolution_doubt, rounding_error
 from aerobalance.estimation.checks.unexplained import excess_of, missed_force, sudden_excess
@@ -397,6 +397,8 @@ class Fitted:
             fit = self.smoothed
             left = np.where(reading.present, reading.filled - fit.columns @ fit.sizes, 0.0)
             lines = fit.sized(self.signal.hum)
+            for doubt, noise in lines_within_load(reading, learned, lines=lines, unit=unit):
+                yield [doubt], [noise]
             told, hidden_hum = hidden_doubts(
                 component,
                 hidden_harmonics(reading, learned, left, lines=lines, of_load=self.signal.of_load),

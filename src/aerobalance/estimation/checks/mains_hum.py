@@ -33,6 +33,9 @@ LEAST: Final = 1e-3
 BINS: Final = 4096
 """Frequencies at which the spectrum of an error is kept: a line is narrow."""
 
+FORCE_ODDS: Final = 0.5
+"""Probability that a line within the band of a load is force: nothing but its frequency speaks for hum."""
+
 COUNTS: Final = 0.1
 """Rms of a hidden harmonic over the rest of the uncertainty from which on it is counted."""
 
@@ -192,6 +195,45 @@ def hidden_doubts(
         f"lines are force, keep them with {argument('hum', 'keep')}"
     )
     return Doubt("hum", component, text, advice, effect, unit), errors
+
+
+def lines_within_load(
+    reading: Observation, learned: SpectralPrior, *, lines: Sequence[Line], unit: str
+) -> Iterator[tuple[Doubt, Noise]]:
+    """Yield doubts about lines that are taken for hum though they stand within the load's band, and their errors.
+
+    There a line is seen only if it is far stronger than noise of the electronics, and a tone of the load, as of a
+    vortex street or a rotor, is as likely.
+
+    Parameters
+    ----------
+    reading, learned
+        The record, and what was learned of it beside the lines.
+    lines
+        Lines that are taken for hum of the mains.
+    unit
+        Unit of the force.
+    """
+    component = reading.dynamics.component
+    for line in lines:
+        place = np.array([line.frequency])
+        gain = float(np.abs(reading.dynamics.response(place))[0])
+        felt = gain**2 * float(learned.spectrum.density(place)[0])
+        if felt < learned.noise**2 * reading.interval:
+            continue
+        as_force = line.amplitude / gain / np.sqrt(2)
+        rms = float(np.sqrt(FORCE_ODDS) * as_force)
+        text = (
+            f"{component} has a line at {line.frequency:.5g} Hz ({line.amplitude:.3g} {unit} in the reading) within "
+            f"the band of its load: it is taken for hum of the mains, and a force of {as_force:.2g} {unit} rms looks "
+            f"the same; {rms:.2g} {unit} rms of the uncertainty are for that"
+        )
+        advice = (
+            f"a record of noise alone ({argument('noise')}) shows hum; if it is force, keep it with "
+            f"{argument('hum', 'keep')}"
+        )
+        error = _error(component, line.frequency, rms, count=reading.values.size, interval=reading.interval)
+        yield Doubt("hum", component, text, advice, rms, unit), error
 
 
 def hum_assumed(reading: Observation, learned: SpectralPrior, *, unit: str) -> Iterator[Assumption]:
