@@ -276,7 +276,7 @@ class Fitted:
             return estimator.run(series if whole else np.where(reading.present[:, None], series, 0.0))
 
         def again(other: ComponentRecord) -> Array:
-            changed = other.reading(hum=reading.hum, tones=reading.tones)
+            changed = other.reading(hum=reading.hum, tones=reading.tones, drift=reading.drift)
             return LinearSmoother.of(changed, learned=learned, steps=steps).run(changed.filled[:, None])[:, 0]
 
         def moved(item: SystematicParameter) -> Array:

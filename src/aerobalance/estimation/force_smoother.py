@@ -136,10 +136,12 @@ def fit_signal_model(reading: Observation, *, hum: Hum, resolution: float | None
     within = slice(int(present[0]), int(present[-1]) + 1) if present.size else slice(0, 0)
     if present.size >= WHOLE * (within.stop - within.start) > 0:
         lines, shown = tuple(line.frequency for line in mains.hum), interpolate_gaps_linearly(reading.values[within])
-        tones = load_tones(shown, reading.interval, reading.dynamics, hum=lines)
+        whole = shown.size == reading.values.size
+        tones = load_tones(shown, reading.interval, reading.dynamics, hum=lines, may_drift=whole)
     if not tones.frequencies:
         return fitted(reading)
-    tonal = _tuned(replace(fitted(replace(reading, tones=tones.frequencies)), hidden=tones.hidden))
+    named = replace(reading, tones=tones.frequencies, drift=tones.drift)
+    tonal = _tuned(replace(fitted(named), hidden=tones.hidden))
     if not tonal.steps:
         return tonal
     # a square wave shows some tones as well, and the steps that it is made of are likelier
@@ -349,7 +351,7 @@ class SmootherResult:
         sizes = self.sizes[self.sizes.size - 2 * frequencies.size :].reshape(-1, 2)
         phasors = (sizes[:, 1] - 1j * sizes[:, 0]) / self.reading.dynamics.response(frequencies)
         return tuple(
-            Line(float(frequency), -float(phasor.imag), float(phasor.real), 0.0, np.inf)
+            Line(float(frequency), -float(phasor.imag), float(phasor.real), 0.0, np.inf, self.reading.drift)
             for frequency, phasor in zip(frequencies, phasors, strict=True)
         )
 
@@ -552,16 +554,17 @@ def instant_columns(
         columns += [both, growing * both]
         forms += [np.zeros((count, 4))]
     for tone in reading.tones:
-        both = columns_of_lines([tone], count=count, interval=reading.interval)
+        one = replace(steady, tones=(tone,))
+        both = columns_of([], one)[:, 1:]
         columns += [both, growing * both]
-        force = forces_of_tones(replace(reading, tones=(tone,)))
+        force = forces_of_tones(one)
         forms += [force, growing * force]
     return np.column_stack(columns), np.column_stack(forms)
 
 
 def forces_of_tones(reading: Observation) -> Array:
     """Return the forces that make sine and cosine of each tone of 1 N in the reading, shape (n, 2 tones) [1]."""
-    shown = columns_of_lines(reading.tones, count=reading.values.size, interval=reading.interval)
+    shown = columns_of_lines(reading.tones, count=reading.values.size, interval=reading.interval, drift=reading.drift)
     inverse = 1 / reading.dynamics.response(np.array(reading.tones))
     found = np.empty_like(shown)
     for place, turned in enumerate(inverse):

@@ -42,7 +42,7 @@ def with_hidden_motion(record: SingleRecord, fit: SmootherResult) -> SingleRecor
     """
     hidden = [item for item in record.unknowns if _in_gap(item)]
     felt = np.column_stack([record.felt_under(item) for item in hidden])
-    reading = record.reading(hum=fit.reading.hum, tones=fit.reading.tones)
+    reading = record.reading(hum=fit.reading.hum, tones=fit.reading.tones, drift=fit.reading.drift)
     known = instant_columns(fit.reading, fit.steps, heights=[step.height for step in fit.steps])[0]
     series = whitened(fit.filter, reading.filled, np.column_stack([known, felt]))
     values, shapes = series[:, 0], series[:, 1:]

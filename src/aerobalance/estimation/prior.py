@@ -117,6 +117,8 @@ class Observation:
         Frequencies of steady lines that are no force [Hz].
     tones
         Frequencies of steady lines of the force [Hz].
+    drift
+        How these drift along the record, all alike (`aerobalance.estimation.spectra.line_noise.turned_time`).
     color
         What the noise has beyond that; None if nothing is known of it.
     rising
@@ -134,6 +136,7 @@ class Observation:
     noise: float | None = None
     hum: tuple[float, ...] = ()
     tones: tuple[float, ...] = ()
+    drift: tuple[float, ...] = ()
     color: ColoredNoise | ShapedNoise | None = None
     rising: bool = False
     decimated: int = 1

@@ -127,11 +127,13 @@ class ComponentRecord(ABC):
         """Force of the ground's motion on the moving mass at the load's instants, still in the readings, (n,) [N]."""
         return np.zeros(self.recording.samples) + self.motion_error
 
-    def reading(self, *, hum: tuple[float, ...] = (), tones: tuple[float, ...] = ()) -> Observation:
+    def reading(
+        self, *, hum: tuple[float, ...] = (), tones: tuple[float, ...] = (), drift: tuple[float, ...] = ()
+    ) -> Observation:
         """The record as the estimator takes it: the load that the ground's motion has put on it is taken off.
 
-        Hum and tones of the load are named by their frequencies [Hz] and left in; readings that rest on a limit count
-        as missing, and so do those of instants at which the ground's motion was not read.
+        Hum and tones of the load are named by their frequencies [Hz], with how the tones drift, and left in; readings
+        that rest on a limit count as missing, and so do those of instants at which the ground's motion was not read.
         """
         channel = self.recording.channel(self.dynamics.component)
         lost = channel.at_limit | self.before_ground
@@ -147,6 +149,7 @@ class ComponentRecord(ABC):
             noise=channel.noise,
             hum=hum,
             tones=tones,
+            drift=drift,
             decimated=self.recording.decimated,
         )
         if self.noise is not None:

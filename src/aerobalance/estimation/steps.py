@@ -202,8 +202,11 @@ def columns_of(steps: Sequence[Step], reading: Observation) -> Array:
     Lines are those of hum, then tones of the load; of both it is the reading that has an amplitude of 1 N.
     """
     count = reading.values.size
-    lines = columns_of_lines((*reading.hum, *reading.tones), count=count, interval=reading.interval)
-    return np.column_stack([np.ones(count), *(response_to(step, reading) for step in steps), lines])
+    lines = columns_of_lines(reading.hum, count=count, interval=reading.interval)
+    tones = columns_of_lines(
+        reading.tones, count=count, interval=reading.interval, drift=reading.drift, response=reading.dynamics.response
+    )
+    return np.column_stack([np.ones(count), *(response_to(step, reading) for step in steps), lines, tones])
 
 
 def _ended(reading: Observation) -> float:

@@ -238,12 +238,13 @@ class _Trial:
         """Errors of the smoother's force by contribution, one draw after the other."""
         hum = tuple(line.frequency for line in self.estimate.hum)
         tones, steps = tuple(line.frequency for line in self.estimate.tones), self.estimate.steps
-        reading = self.record.reading(hum=hum, tones=tones)
+        drift = self.estimate.tones[0].drift if tones else ()
+        reading = self.record.reading(hum=hum, tones=tones, drift=drift)
         nominal = LinearSmoother.of(reading, learned=learned, steps=steps)
         found = nominal.run(reading.filled[:, None])[:, 0]
 
         def moved(record: ComponentRecord) -> Array:
-            drawn = record.reading(hum=hum, tones=tones)
+            drawn = record.reading(hum=hum, tones=tones, drift=drift)
             estimator = LinearSmoother.of(drawn, learned=learned, steps=steps)
             return np.asarray(estimator.run(drawn.filled[:, None])[:, 0] - found)
 

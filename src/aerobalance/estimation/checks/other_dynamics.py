@@ -387,7 +387,8 @@ def unbroken(
     None where it has fewer than `FEWEST_SAMPLES` or does not change; of one that is too long the begin.
     """
     reading = record.reading()
-    lines = reading_of_lines(tuple(hum), count=reading.values.size, interval=reading.interval) if hum else 0.0
+    response = reading.dynamics.response
+    lines = reading_of_lines(tuple(hum), count=reading.values.size, interval=reading.interval, response=response)
     whole = longest_stretch(record)
     first, last = whole.start, min(whole.stop, whole.start + longest)
     values = (reading.values - lines)[first:last]

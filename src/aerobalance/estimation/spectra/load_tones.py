@@ -4,21 +4,26 @@ A load that repeats exactly has a spectrum of lines, which no spectrum of a few 
 but a line has power. As sine and cosine each is found to the size that the noise leaves, sigma sqrt(2 / n) over |G|.
 Where the balance weakens a force, what looks like a line may as well be of the electronics: there only those count
 that are harmonics of lines seen where it does not.
+
+A rotor's speed drifts. Its harmonics are then steady in the time that its rotation tells, which the phase of the
+strongest of them does; the readings are looked at in that time.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import rfft
+from scipy.interpolate import CubicSpline
 
 from aerobalance.dynamics.modal import ModalModel
-from aerobalance.estimation.spectra.line_noise import MAINS
-from aerobalance.estimation.spectra.steady_tones import LEFT, WIDTH, nearest_sine
+from aerobalance.estimation.spectra.line_noise import MAINS, turned_time
+from aerobalance.estimation.spectra.steady_tones import BAND, LEFT, WIDTH, nearest_sine
 from aerobalance.recording.channel import Array
 from aerobalance.recording.fourier import hann
 
@@ -79,6 +84,19 @@ NO_STRONGER: Final = 2.0
 TURNS: Final = 3
 """Times that all frequencies are found again beside the other tones."""
 
+DRIFTING: Final = 300.0
+"""Power of a line over that of its surroundings from which on its phase tells how a rotation drifts: to 0.1 rad at any
+instant, of which a polynomial leaves a third."""
+
+REACHES: Final = (4, 8, 16, 31)
+"""Ordinates either side over which a line that drifts may be spread: as few as show it, as others are beside it."""
+
+SEVERAL: Final = 2
+"""Tones from which on they are harmonics of a rotation, which all drift alike."""
+
+DEGREES: Final = (1, 2, 3, 4, 5, 6)
+"""Degrees of the polynomial that its phase may be; the first is another frequency."""
+
 
 BLOCK: Final = 32
 """Ordinates over which the level is looked at first."""
@@ -99,13 +117,18 @@ class LoadTones(NamedTuple):
         Of those that are seen, in rising order [Hz].
     hidden
         Force of further harmonics that noise may hide, rms [N].
+    drift
+        How they drift along the record (`aerobalance.estimation.spectra.line_noise.turned_time`).
     """
 
     frequencies: tuple[float, ...] = ()
     hidden: float = 0.0
+    drift: tuple[float, ...] = ()
 
 
-def load_tones(values: Array, interval: float, dynamics: ModalModel, *, hum: Sequence[float] = ()) -> LoadTones:
+def load_tones(
+    values: Array, interval: float, dynamics: ModalModel, *, hum: Sequence[float] = (), may_drift: bool = False
+) -> LoadTones:
     """Return the frequencies of the steady tones of a load [Hz]; none where it has more than a few.
 
     Parameters
@@ -118,7 +141,33 @@ def load_tones(values: Array, interval: float, dynamics: ModalModel, *, hum: Seq
         The balance.
     hum
         Frequencies of lines that are taken for hum [Hz].
+    may_drift
+        Whether they are looked for as those of a rotation whose speed drifts as well.
     """
+    steady, left = _tones_in(values, interval, dynamics, hum=hum)
+    more = _drift_of(left) if may_drift else ()
+    if not more:
+        return steady
+    drift: tuple[float, ...] = ()
+    drifting, beside, readings = steady, left, CubicSpline(left.time, values)
+    # in the time of the rotation a line that was spread is narrow, and tells what is left of the drift
+    for _ in range(TURNS):
+        drift = tuple(one + other for one, other in zip_longest(drift, more, fillvalue=0.0))
+        turned, _rate = turned_time(drift, count=values.size, interval=1.0)
+        drifting, beside = _tones_in(readings(np.interp(left.time, turned, left.time)), interval, dynamics, hum=hum)
+        more = _drift_of(beside)
+        if not more:
+            break
+    # of one line alone the spectrum of the force shows all; a rotation has several
+    if len(drifting.frequencies) < SEVERAL or beside.power > left.power:
+        return steady
+    return drifting._replace(drift=drift)
+
+
+def _tones_in(
+    values: Array, interval: float, dynamics: ModalModel, *, hum: Sequence[float]
+) -> tuple[LoadTones, _Left]:
+    """The tones that are steady in some readings, shape (n,), and what they leave; the rest as of `load_tones`."""
     count, ordinate = values.size, 1 / (values.size * interval)
     most, highest = min(MOST, MOST_NUMBERS // count), HIGHEST / interval
 
@@ -139,7 +188,7 @@ def load_tones(values: Array, interval: float, dynamics: ModalModel, *, hum: Seq
     while len(left.tones) <= most and left.take_next():
         pass
     if not left.tones or len(left.tones) > most:
-        return LoadTones()
+        return LoadTones(), left
     left.refine()
     found = np.array([tone.rate for tone in left.tones]) / (2 * np.pi * interval)
     gain = np.abs(dynamics.response(found))
@@ -148,7 +197,7 @@ def load_tones(values: Array, interval: float, dynamics: ModalModel, *, hum: Seq
     known, strength = found[clear], forces[clear]
     fundamental = _fundamental(known, strength, shown=strength * gain[clear], ordinate=ordinate)
     if fundamental is None:
-        return LoadTones(tuple(sorted(known.tolist())))
+        return LoadTones(tuple(sorted(known.tolist()))), left
 
     def shown(at: float) -> tuple[float, float]:
         """Force at a harmonic [N], and its evidence [1]."""
@@ -164,7 +213,60 @@ def load_tones(values: Array, interval: float, dynamics: ModalModel, *, hum: Seq
     harmonics = np.asarray(fundamental * np.arange(1, int(highest / fundamental) + 1, apart), dtype=np.float64)
     harmonics = harmonics[may_be(harmonics, of_mains=known.size > 1)]
     series = _series(harmonics, shown, apart=apart * fundamental, most=NO_STRONGER * float(strength.max()))
-    return series if len(series.frequencies) <= most else LoadTones()
+    return (series if len(series.frequencies) <= most else LoadTones()), left
+
+
+def _drift_of(left: _Left) -> tuple[float, ...]:
+    """How the strongest line drifts (`turned_time`); none where it is steady, or is no line that drifts.
+
+    Turned back to its middle, its readings are a slow series whose phase is that of a rotation: a polynomial. Of a
+    resonance that a broad load keeps up phase and size change by chance, which leaves more of it than is allowed.
+    """
+    whole = left.whole
+    count = whole.size
+    spectrum = rfft(whole * left.taper)
+    power = np.abs(spectrum) ** 2
+    place = int(np.argmax(np.where(left.may_be, power, 0.0)))
+    half = min(BAND, count // 4, place)
+    if half < WIDTH:
+        return ()
+    beside = left.surroundings(power, place)
+    offset = np.fft.fftfreq(2 * half, 1 / (2 * half))
+    ordinate = place + offset.astype(np.int64)
+    if ordinate.max() >= spectrum.size or power[place] < DRIFTING * beside:
+        return ()
+    x = np.linspace(-1, 1, 2 * half, endpoint=False)
+    taper = np.cos(0.5 * np.pi * x) ** 2
+    for reach in REACHES:
+        near = np.abs(offset) <= min(reach, half - 1)
+        slow = np.fft.ifft(np.where(near, spectrum[ordinate], 0.0))
+        by_chance = BY_CHANCE * np.count_nonzero(near) * beside
+        largest = max(LEFT * float(power[ordinate[near]].sum()), by_chance)
+        before = _left_of(slow, taper, np.zeros(x.size), x, near)
+        found: tuple[float, ...] = ()
+        phase = np.unwrap(np.angle(slow))
+        for degree in DEGREES:
+            fitted = np.polynomial.polynomial.polyfit(x, phase, degree, w=np.abs(slow))
+            course = np.asarray(np.polynomial.polynomial.polyval(x, fitted), dtype=np.float64)
+            after = _left_of(slow, taper, course, x, near)
+            if before - after > EVIDENCE / 3 * beside:
+                found, before = tuple(fitted[1:].tolist()), after
+        if before >= largest:
+            continue
+        if found:
+            # of n samples from -1 to 1 the phase grows by pi (n - 1) / n of them an ordinate
+            rate = np.pi * place + found[0]
+            return tuple(power * number / rate for power, number in enumerate(found[1:], start=2))
+        return ()
+    return ()
+
+
+def _left_of(slow: NDArray[np.complex128], taper: Array, phase: Array, x: Array, near: NDArray[np.bool_]) -> float:
+    """Power that a line of some phase, shape (m,) [rad], whose size grows along the record leaves of a slow series."""
+    line = taper * np.exp(1j * phase)
+    shapes = np.column_stack([line, line * x])
+    sizes, *_ = np.linalg.lstsq(shapes, slow)
+    return float(np.sum(np.abs(np.fft.fft(slow - shapes @ sizes)[near]) ** 2))
 
 
 def _series(
@@ -259,8 +361,10 @@ class _Left:
 
     Attributes
     ----------
-    left
-        Readings less the tones, shape (n,) [N].
+    whole, left
+        Readings, and the same less the tones, shape (n,) [N].
+    may_be
+        Ordinates at which a tone may be at all, shape (n // 2 + 1,).
     searched
         Ordinates at which a tone may be, shape (n // 2 + 1,).
     gain
@@ -273,18 +377,25 @@ class _Left:
         The tones that were found.
     """
 
+    whole: Array
     left: Array
+    may_be: NDArray[np.bool_]
     searched: NDArray[np.bool_]
     gain: Array
     taper: Array
     time: Array
     tones: list[_Tone]
 
+    @property
+    def power(self) -> float:
+        """What is left, squared [N^2]."""
+        return float(self.left @ self.left)
+
     @classmethod
     def of(cls, values: Array, searched: NDArray[np.bool_], gain: Array) -> _Left:
         count = values.size
         time = np.asarray(np.arange(count) - 0.5 * (count - 1), dtype=np.float64)
-        return cls(values, searched, gain, hann(count), time, [])
+        return cls(values, values, searched.copy(), searched, gain, hann(count), time, [])
 
     def take_next(self) -> bool:
         """Take out the tone that stands out most of its surroundings; whether there was one."""
@@ -302,7 +413,7 @@ class _Left:
             if over[place] < EVIDENCE / 3:
                 return False
             near = slice(max(place - WIDTH, 0), place + WIDTH + 1)
-            beside = self._surroundings(power, place)
+            beside = self.surroundings(power, place)
             if power[place] >= EVIDENCE / 3 * beside:
                 rate, after = nearest_sine(spectrum[:, None], place, count)
                 if after < max(LEFT * power[near].sum(), BY_CHANCE * (2 * WIDTH + 1) * beside):
@@ -313,7 +424,7 @@ class _Left:
         self.searched[near] = False
         return True
 
-    def _surroundings(self, power: Array, place: int) -> float:
+    def surroundings(self, power: Array, place: int) -> float:
         """Mean power beside a place: that of the stronger side, by its median, as other tones may stand there.
 
         Beside a resonance it is what a force there would make of it, where that is more.
@@ -348,5 +459,5 @@ class _Left:
         count = self.left.size
         transform = abs(np.sum(self.left * self.taper * np.exp(-1j * rate * self.time)))
         power = np.abs(rfft(self.left * self.taper)) ** 2
-        beside = self._surroundings(power, round(rate * count / (2 * np.pi)))
+        beside = self.surroundings(power, round(rate * count / (2 * np.pi)))
         return float(2 * transform / np.sum(self.taper)), float(3 * transform**2 / max(beside, 1e-300))
