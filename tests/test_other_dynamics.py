@@ -12,6 +12,7 @@ import pytest
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks import other_dynamics, resonance
+from aerobalance.estimation.checks.evidence import Evidence
 from aerobalance.estimation.checks.local_modes import SETTINGS, Averaged, missing_mode, own_resonance, smeared
 from aerobalance.estimation.checks.model_error import LEFT_OPEN, error_under
 from aerobalance.estimation.checks.near_resonance import near_resonance
@@ -369,6 +370,66 @@ def test_no_kind_of_load_says_anything_against_the_right_dynamics(kind, rng):
     }[kind]
     run = Recording.from_columns(fine[::40], {"AF": Channel("AF", values, "N")}, name=kind)
     assert looked_at(run, BARE).doubts(BARE) == []
+
+
+def narrow_noise(rng: np.random.Generator, time: Array, highest: float) -> Array:
+    """Gaussian noise up to a frequency [Hz], of 1 rms."""
+    frequency = np.fft.rfftfreq(time.size, float(time[1] - time[0]))
+    phasors = (rng.normal(size=frequency.size) + 1j * rng.normal(size=frequency.size)) * (frequency < highest)
+    values = np.fft.irfft(phasors, time.size)
+    return np.asarray(values / values.std())
+
+
+def read_finely(force: Array, rng: np.random.Generator, *, lead: float, fine: int = 8) -> Recording:
+    """The reading of a force that is given on a finer clock from some seconds before on, with 2 N of noise."""
+    load = BARE.balance_load(force, interval=1 / (fine * RATE))[round(lead * RATE) * fine :: fine]
+    values = load + rng.normal(0, 2.0, load.size)
+    return Recording.from_columns(np.arange(load.size) / RATE, {"AF": Channel("AF", values, "N")}, name="read")
+
+
+@pytest.mark.parametrize("ends", [(0.905, 0.95), (0.995, 1.007), (1.05, 1.07)])
+@pytest.mark.parametrize("buffet", [0.0, 20.0])
+@pytest.mark.soak(first=2)
+def test_a_tone_that_wanders_is_no_other_resonance(ends, buffet, rng):
+    """The tone of a vortex, 10 N, whose frequency and size wander beside the natural frequency or about it.
+
+    Alone it was taken for a resonance at its frequency, with an uncertainty 50 to 200 times the error; at the natural
+    frequency, under a buffet, for a tenth of the damping.
+    """
+    fine, lead = 8, 4.0
+    time = np.arange(round((lead + 5.0) * RATE) * fine) / (fine * RATE)
+    frequency = BARE.natural_frequency * np.linspace(*ends, time.size) + 0.4 * narrow_noise(rng, time, 2.0)
+    size = 10.0 * (1 + 0.2 * narrow_noise(rng, time, 1.5))
+    tone = size * np.sin(2 * np.pi * np.cumsum(frequency) / (fine * RATE))
+    run = read_finely(300.0 + tone + buffet * narrow_noise(rng, time, 25.0), rng, lead=lead)
+    assert looked_at(run, BARE).doubts(BARE) == []
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_square_wave_is_no_balance_that_does_not_ring(seed):
+    """Lines at all its harmonics, of which steps explain what is left; they were doubted in one of two records."""
+    rng, fine, lead = np.random.default_rng(seed), 8, 4.0
+    time = np.arange(round((lead + 2.5) * RATE) * fine) / (fine * RATE)
+    force = 20.0 * np.sign(np.sin(2 * np.pi * 5.3 * (time + rng.uniform(0, 1))))
+    assert looked_at(read_finely(force, rng, lead=lead), BARE).doubts(BARE) == []
+
+
+@pytest.mark.parametrize("factor", [0.95, 1.03, 1.1])
+@pytest.mark.soak(first=2)
+def test_another_resonance_is_told_beside_narrow_loads(factor, rng):
+    """A broad load shows a resonance beside its peak, and where it is missing: a narrow load of no shape explains it.
+
+    It needs no tone to be near: the gain of the balance's own dynamics over ones that are off is asked beside a load
+    within 6 % of the peak.
+    """
+    run = shaken(BARE, rng)
+    other = BARE.retuned(frequency=factor, damping=1.0)
+    values = run.channel("AF").values
+    evidence = Evidence(values - values.mean(), 1 / RATE, 1e-6 * 4.0 / RATE, among=(BARE, other))
+    band = BARE.natural_frequency * 0.94, BARE.natural_frequency * 1.06
+    assert evidence.over_narrow_loads(BARE, other, band) > resonance.SETTINGS.band_decisive
+    assert evidence.over_narrow_loads(other, BARE, band) < 0
+    assert looked_at(run, other).frequency is not None
 
 
 @pytest.mark.soak(first=0)

@@ -39,6 +39,8 @@ class EvidenceSettings:
         Relative distance from a known mode within which a peak is that of the mode.
     samples
         Samples that are looked at at most.
+    skirts
+        Averages on either side of a peak that belong to it.
     """
 
     peaks: int = 3
@@ -48,7 +50,11 @@ class EvidenceSettings:
     surroundings: float = 0.2
     near: float = 0.04
     samples: int = LONGEST
+    skirts: int = 2
 
+
+TRACE: Final = 1e-9
+"""Weight of ordinates that do not count, over their own."""
 
 SETTINGS: Final = EvidenceSettings()
 """Settings that are used."""
@@ -106,6 +112,49 @@ class Evidence:
         frequency = periodogram.ordinates[0]
         within = (frequency[last] >= line[0]) & (frequency[periodogram.edges] <= line[1])
         return fit.evidence + float(spent[within].sum())
+
+    def over_narrow_loads(self, other: ModalModel, own: ModalModel, band: tuple[float, float] | None = None) -> float:
+        """Gain of other dynamics over own ones where the load may have narrow bands of any shape, in log-likelihood.
+
+        Such a load adds power where it is, and takes none away: there own dynamics are spoken against only where they
+        expect more of the reading than the others do, by what the force has on either side. It may be wherever a
+        narrow peak stands out, and in a band besides.
+
+        Parameters
+        ----------
+        other, own
+            The dynamics.
+        band
+            Lowest and highest frequency of that band [Hz]; None for none.
+        """
+        known, others = self._periodogram(own), self._periodogram(other)
+        frequency, weight, density = known.frequency, known.weight, known.density
+        peaks = _stands_out(density, frequency, known.count)
+        inside = np.zeros_like(peaks) if band is None else (frequency >= band[0]) & (frequency <= band[1])
+        # a resonance of the others within the band tells of the force there
+        mine, theirs = self._beside(own, peaks | inside), self._beside(other, peaks & ~inside)
+        level = others.load(theirs.spectrum) + others.background(theirs.noise_density)
+        gain = theirs.evidence - mine.evidence + weight[inside] @ (np.log(level) + density / level)[inside]
+        # what the force has on both sides of a load it has there as well
+        within = peaks | inside
+        force = mine.spectrum.density(frequency)
+        below, above = _beside_each(within)
+        least = np.minimum(force[below], force[above]) * known.gain + known.background(mine.noise_density)
+        more = within & (least > level)
+        gain += weight[more] @ (np.log(least / level) + density * (1 / least - 1 / level))[more]
+        return float(gain)
+
+    def _beside(self, dynamics: ModalModel, within: NDArray[np.bool_]) -> SpectrumFit:
+        """Spectrum and evidence without some averages: these keep a trace of weight, by which a level is a number."""
+        periodogram = self._periodogram(dynamics)
+        weight = np.where(within, TRACE * periodogram.weight, periodogram.weight)
+        return fit_spectrum(
+            replace(periodogram, weight=weight),
+            noise_density=self.white,
+            floor=self.floor,
+            rising=self.rising,
+            near=self._fit(dynamics).noise_density,
+        )
 
     def nearly(self, dynamics: ModalModel, start: ModalModel) -> float:
         """The same, at most, of dynamics nearly like others: with a spectrum of the kind that is best with those."""
@@ -197,9 +246,33 @@ def _averaged(power: Array, own: slice) -> Array:
     return np.asarray((around[last] - around[first]) / (last - first))
 
 
-def _medians(level: Array, middle: Array) -> Array:
-    """Median of the levels at rising frequencies within an octave about each, shape (m,)."""
-    near = np.abs(np.log(middle / middle[:, None])) < SETTINGS.surroundings * 2
+def _stands_out(density: Array, frequency: Array, count: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Where a narrow peak stands out of what is on both its sides, its neighbours included, shape (m,).
+
+    `count` has the ordinates of each average. The edge of a load has its level on one side.
+    """
+    level = np.log(np.maximum(density, 1e-300))
+    single, several = np.log(SETTINGS.stands_out)
+    about = np.maximum(*(_medians(level, frequency, side=side) for side in (-1, 1)))
+    peak = level - about > np.where(count < SETTINGS.several, single, several)
+    return np.asarray(np.convolve(peak, np.ones(2 * SETTINGS.skirts + 1), mode="same") > 0)
+
+
+def _beside_each(within: NDArray[np.bool_]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Nearest place outside some, below and above each; at an end of all, that on the other side, shape (m,) each."""
+    place = np.arange(within.size)
+    outside = np.flatnonzero(~within)
+    if not outside.size:
+        return place, place
+    after = np.searchsorted(outside, place)
+    below, above = outside[np.maximum(after - 1, 0)], outside[np.minimum(after, outside.size - 1)]
+    return np.where(within, below, place), np.where(within, above, place)
+
+
+def _medians(level: Array, middle: Array, *, side: int = 0) -> Array:
+    """Median of the levels at rising frequencies within an octave about each, or on one side of it, shape (m,)."""
+    away = np.log(middle / middle[:, None])
+    near = (np.abs(away) < SETTINGS.surroundings * 2) & (away * side >= 0)
     found = np.empty(middle.size)
     for place, (first, count) in enumerate(zip(near.argmax(axis=1), near.sum(axis=1), strict=True)):
         part = np.sort(level[first : first + count])
