@@ -83,9 +83,12 @@ class ResonanceSettings:
         Half widths of a narrow band of the load over the frequency of a peak that it may make: a tone that wanders.
     band_from, band_half, band_decisive
         Gain of other dynamics over the expected ones beside such a load from which on they are possible, at which they
-        are as likely as that load, and from which on they are believed. Of 40 records with a tone that wanders, or a
-        narrow band, none reached 0.5, but for a band that has the shape of a resonance; of 24 with another natural
+        are as likely as that load, and from which on they are believed. Of 70 records with a tone that wanders, or a
+        narrow band, none reached 1.2, but for a band that has the shape of a resonance; of 24 with another natural
         frequency, by 2.5 % and more, the least was 4.4.
+    band_alike
+        The last of a resonance that the record resolves and whose damping is the known one: such a load has the same
+        width by chance alone.
     band_damped, band_mode
         The same of less damping alone, which such a load at the natural frequency looks like, and of a further mode,
         which is named with it: what is left is that a resonance needs a force that shows beside it as well.
@@ -124,6 +127,7 @@ class ResonanceSettings:
     band_from: float = 0.5
     band_half: float = 1.5
     band_decisive: float = 3.0
+    band_alike: float = 2.0
     band_damped: float = -3.0
     band_mode: float = -5.0
     line_reach: float = 3.0
@@ -133,6 +137,9 @@ class ResonanceSettings:
 
 SETTINGS: Final = ResonanceSettings()
 """Settings that are used."""
+
+SAME_DAMPING: Final = 1e-6
+"""Relative difference of two damping ratios that is rounding."""
 
 MOVED: Final = ("natural frequency", "damping ratio")
 """Kinds of dynamics with as many modes as are known: the same free oscillation tells against either."""
@@ -403,7 +410,13 @@ def _over_narrow_loads(kind: str, evidence: Evidence, dynamics: Dynamics, other:
     gain = min(
         evidence.over_narrow_loads(other, dynamics, band) for band in (bands if kind != "no resonance" else [None])
     )
-    if gain >= (SETTINGS.band_mode if kind == "missing mode" else SETTINGS.band_decisive):
+    alike = abs(other.damping_ratio / dynamics.damping_ratio - 1) < SAME_DAMPING if dynamics.damping_ratio else False
+    decisive = SETTINGS.band_decisive
+    if kind == "missing mode":
+        decisive = SETTINGS.band_mode
+    elif kind == "natural frequency" and alike and not _is_line(mode, evidence, width=SETTINGS.line_beside):
+        decisive = SETTINGS.band_alike
+    if gain >= decisive:
         return 1.0
     if kind == "damping ratio" and mode.damping_ratio < dynamics.damping_ratio:
         resolved = not _is_line(mode, evidence, width=SETTINGS.line_damped)
