@@ -66,6 +66,19 @@ def test_noise_steps_blows_and_tones_have_no_wild_sample(rng):
         assert not wild_samples(values).any()
 
 
+@pytest.mark.parametrize("per_period", [3.2, 3.7, 5.0, 8.0])
+def test_a_mode_that_rings_in_few_samples_a_period_has_no_wild_sample(per_period, rng):
+    """Closed form: the step response of a mode of 1.2 %, whose ringing no cubic through its neighbours follows."""
+    angle, ratio = 2 * np.pi / per_period, 0.012
+    since = np.maximum(np.arange(4000) - 1000.3, 0.0)
+    damped = angle * np.sqrt(1 - ratio**2)
+    rings = np.exp(-ratio * angle * since) * (np.cos(damped * since) + ratio * angle / damped * np.sin(damped * since))
+    values = 100 * (1 - rings) + rng.normal(0, 0.2, since.size)
+    assert not wild_samples(values).any()
+    values[[1200, 1400]] += 60.0  # the ringing has died away to 0.5 by the second
+    assert 1400 in np.flatnonzero(wild_samples(values))
+
+
 def test_missing_readings_are_no_wild_ones_and_hide_none(rng):
     values = ringing(rng)
     values[500:520] = np.nan
