@@ -21,6 +21,7 @@ from aerobalance.estimation.checks.moved_modes import SETTINGS as MOVED
 from aerobalance.estimation.checks.moved_modes import (
     Moved,
     OtherShapes,
+    by_its_hole,
     contradicted,
     gain_of,
     moved_together,
@@ -201,7 +202,7 @@ def _spoken(
         return None
     other = other_shapes(ringing, record.dynamics)
     if other is None:
-        return one_moved(ringing, record, parts, readings, first=first)
+        return by_its_hole(ringing, record.dynamics) or one_moved(ringing, record, parts, readings, first=first)
     # a tone is narrower than any resonance, and looks like one that is elsewhere
     above = SETTINGS.tones_above * record.dynamics.modes[0].natural_frequency * record.interval
     ringing = RingingSpectra.of(record, without_tones(loads[first:], above=above), parts)
