@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import reduce
 
@@ -436,3 +436,21 @@ def test_one_mode_that_has_moved_leaves_a_hole(what: str, place: int, rng) -> No
     assert found.verdict != Verdict.FIT
     (text,) = {doubt.text for doubt in found.doubts}
     assert f"and not {dynamics.modes[place].natural_frequency:.4g} Hz" in text
+
+
+@pytest.mark.parametrize(
+    ("seed", "gap", "missing"), [(2, (0.45, 0.55), range(6)), (4, (0.4, 0.6), [2])], ids=["in all", "in SF"]
+)
+def test_what_fills_a_long_gap_is_no_ringing(seed: int, gap: tuple[float, float], missing: Iterable[int]) -> None:
+    """Two of six records of 4 s with a gap, of which what was filled made exchanged channels and other signs."""
+    dynamics, rng = wide(), np.random.default_rng(seed)
+    clock = replace(SIX, rate=2000.0, samples=8000, fine=8)
+    force = np.column_stack([turbulence(clock, rng) for _ in COMPONENTS]) * HALF_RANGE
+    values = np.column_stack([clock.sampled(column) for column in felt(dynamics, force, clock).T])
+    values += rng.normal(size=values.shape) * NOISE * HALF_RANGE
+    values[slice(*(int(end * len(values)) for end in gap)), list(missing)] = np.nan
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)
+        found = estimate_force(recording_of(values, clock.rate), dynamics)
+    named = {"swapped sign", "swapped channels", "natural frequency", "damping ratio"}
+    assert not named & {doubt.kind for doubt in found.doubts}

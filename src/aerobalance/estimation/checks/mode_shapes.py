@@ -153,13 +153,13 @@ def shape_doubts(
     dynamics, interval = record.dynamics, record.interval
     loads = record.without_ground(filled, on_clock_of=0)
     names = dynamics.components
-    count, most = len(loads), most_samples(record)
+    within, most = _between_gaps(record), most_samples(record)
     readings = {name: one.reading() for name, one in record.component_records(filled).items()}
-    other, first = _spoken(record, loads, parts, readings, first=0), 0
+    other, first = _spoken(record, loads, parts, readings, within=within), 0
     # the balance may have changed on the way; of a part before others the next one's beginning tells
-    if other is None and count > most and record.recording.extent.end > 1 - SETTINGS.end:
-        other = _spoken(record, loads, parts, readings, first=count - most)
-        first = min(most, count - most)
+    if other is None and within.stop - within.start > most and record.recording.extent.end > 1 - SETTINGS.end:
+        other = _spoken(record, loads, parts, readings, within=slice(within.stop - most, within.stop))
+        first = min(within.start + most, within.stop - most)
     if other is None:
         return {}
     bandwidth = np.array([parts[name].bandwidth for name in names])
@@ -185,27 +185,45 @@ def shape_doubts(
     return found
 
 
+def _between_gaps(record: CoupledRecord) -> slice:
+    """The longest stretch of a record without a gap of more than a period of the lowest mode.
+
+    Such a gap is filled by what the forces about it predict, which die away there, and with them all that rings: what
+    is filled rings in no mode.
+    """
+    there = np.asarray(np.isfinite(record.loads).all(axis=1))
+    edges = np.flatnonzero(np.diff(there)) + 1
+    runs = np.split(np.arange(there.size), edges)
+    long = 1 / (record.dynamics.modes[0].natural_frequency * record.interval)
+    gaps = [run for run in runs if not there[run[0]] and run.size > long]
+    begins = [0, *(int(gap[-1]) + 1 for gap in gaps)]
+    ends = [*(int(gap[0]) for gap in gaps), there.size]
+    begin, end = max(zip(begins, ends, strict=True), key=lambda pair: pair[1] - pair[0])
+    return slice(begin, end)
+
+
 def _spoken(
     record: CoupledRecord,
     loads: Array,
     parts: Mapping[str, ComponentForce],
     readings: Mapping[str, Observation],
     *,
-    first: int,
+    within: slice,
 ) -> OtherShapes | None:
-    """What the ringing of the loads from a sample on speaks for, where they are enough to say so.
+    """What the ringing of some samples of the loads speaks for, where they are enough to say so.
 
     `readings` are those of the decoupled components.
     """
-    ringing = RingingSpectra.of(record, loads[first:], parts)
+    ringing = RingingSpectra.of(record, loads[within], parts)
     if ringing is None:
         return None
     other = other_shapes(ringing, record.dynamics)
     if other is None:
+        first = int(within.start)
         return by_its_hole(ringing, record.dynamics) or one_moved(ringing, record, parts, readings, first=first)
     # a tone is narrower than any resonance, and looks like one that is elsewhere
     above = SETTINGS.tones_above * record.dynamics.modes[0].natural_frequency * record.interval
-    ringing = RingingSpectra.of(record, without_tones(loads[first:], above=above), parts)
+    ringing = RingingSpectra.of(record, without_tones(loads[within], above=above), parts)
     return None if ringing is None else other_shapes(ringing, record.dynamics)
 
 
