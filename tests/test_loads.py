@@ -711,3 +711,32 @@ def test_a_part_of_a_record_in_a_gap_has_missing_loads(balance: BalanceMatrix, r
     outputs[:, 2] = np.nan
     with pytest.raises(FitError, match="no sample gives loads"):
         loads_of_outputs(recorded(outputs), balance, zero=NONE)
+
+
+@pytest.mark.parametrize("noise", [0.0, NOISE])
+def test_a_bridge_that_reads_nothing_is_dead_where_others_would_move_it(noise: float, rng) -> None:
+    """Its load comes out as what takes off the interactions, 3 % of the others', and fluctuates as any load does."""
+    coefficients = np.eye(6)
+    coefficients[:5, 5] = 0.03  # what the bridge of AF feels of each other load
+    balance = linear_balance(coefficients)
+    time = np.arange(2000) / RATE
+    loads = 30 * np.sin(2 * np.pi * np.array([3.0, 4.0, 5.0, 6.0, 7.0, 8.0]) * time[:, None])
+    outputs = balance.outputs(loads) + rng.normal(0, NOISE, loads.shape)
+    names = dict.fromkeys(f"r{name}" for name in balance.gauges)
+
+    def doubts(columns: Array) -> dict[str, str]:
+        channels = {name: Channel(name, column, "mV/V") for name, column in zip(names, columns.T, strict=True)}
+        felt = loads_of_outputs(Recording.from_columns(time, channels, name="run"), balance, zero=NONE)
+        return {doubt.component: doubt.text for doubt in felt.doubts if doubt.kind == "stuck channel"}
+
+    assert not doubts(outputs)
+    still = np.column_stack([0 * loads[:, :5], outputs[:, 5]]) + rng.normal(0, NOISE, loads.shape)
+    assert not doubts(still)  # of bridges without a load none is dead
+    dead = outputs.copy()
+    dead[:, 5] = 0.01 + rng.normal(0, 1.0, time.size) * noise
+    with pytest.warns(DataQualityWarning, match="rAF"):
+        told = doubts(dead)
+    assert set(told) == set(COMPONENTS)  # each force of coupled components needs the readings of all
+    # five sines of 0.3 of capacity, each felt with 0.03: sqrt(5 / 2) 0.009 mV/V
+    assert f"would move it by {np.sqrt(2.5) * 0.009:.2g} mV/V" in told["AF"]
+    assert ("all along" in told["AF"]) == (noise == 0)

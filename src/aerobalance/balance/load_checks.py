@@ -1,4 +1,4 @@
-"""What loads from gauge outputs are warned of: range, iteration, rows that are averaged points, zeros."""
+"""What loads from gauge outputs are warned of: range, iteration, averaged points, zeros, bridges that read nothing."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import warn_quality
+from aerobalance.recording.noise import white_noise
 from aerobalance.recording.recording import Recording
 
 
@@ -32,16 +33,29 @@ class LoadSettings:
     points_apart
         Noise from row to row, over the scatter of the calibration's readings, from which rows are doubted to be
         samples.
+    only_noise
+        Scatter of a bridge's readings over their white noise up to which they show nothing else.
+    by_others
+        What the other loads move a bridge by over its scatter, from which on it is dead: a load of its own that takes
+        just that off to the noise is none.
+    fewest
+        Readings from which on bridges are asked.
     """
 
     beyond: float = 0.02
     nearly_diverging: float = 0.5
     most_points: int = 500
     points_apart: float = 20.0
+    only_noise: float = 1.2
+    by_others: float = 3.0
+    fewest: int = 256
 
 
 ROWS_AT_ONCE: Final = 64
 """Rows of a table whose values are compared in one go."""
+
+ROUNDING: Final = 1e-9
+"""Scatter of outputs over those at capacity that is rounding."""
 
 SETTINGS: Final = LoadSettings()
 """Thresholds that are used."""
@@ -172,3 +186,47 @@ def doubts_of_zero(zero: GaugeZero, components: Sequence[str], slope: Array) -> 
         )
         for name, unit, effect in zip(components, units, effects.tolist(), strict=True):
             yield Doubt("zero", name, f"{zero.source} {text.format(sizes)} (rms)", advice, effect, unit)
+
+
+def doubts_of_bridges(
+    outputs: Array, native: Array, balance: BalanceMatrix, components: Sequence[str], *, sensitivity: Array
+) -> Iterator[Doubt]:
+    """Return doubts about bridges that read nothing while the other loads move, one for every component.
+
+    A bridge feels the other loads too, as its interactions say. A dead one is read as a load that takes just these
+    off, at every instant, and everything that is worked out of its loads looks as if the balance had changed.
+
+    Parameters
+    ----------
+    outputs
+        Gauge outputs, shape (n, c) [mV/V]; NaN where missing.
+    native
+        Loads in the balance's own components, shape (n, c) [N, N*m].
+    balance
+        The matrix.
+    components
+        Components of the loads.
+    sensitivity
+        Change of the loads in its own components with each output, shape (c, c) [N V/mV].
+    """
+    known = np.isfinite(native).all(axis=1) & np.isfinite(outputs).all(axis=1)
+    if np.count_nonzero(known) < SETTINGS.fewest:
+        return
+    outputs, native = outputs[known], native[known]
+    scatter = outputs.std(axis=0)
+    moves = np.linalg.inv(sensitivity)
+    np.fill_diagonal(moves, 0.0)
+    by_others = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", moves, np.cov(native.T), moves), 0.0))
+    least = np.maximum(SETTINGS.by_others * scatter, ROUNDING * balance.output_scale)
+    for place in np.flatnonzero(by_others > least):
+        still = scatter[place] < ROUNDING * balance.output_scale[place]
+        if not still and scatter[place] > SETTINGS.only_noise * white_noise(outputs[:, place]):
+            continue
+        same = "reads the same all along" if still else "shows nothing but noise"
+        text = (
+            f"r{balance.gauges[place]} {same} ({scatter[place]:.2g} mV/V rms), where the other loads alone would move "
+            f"it by {by_others[place]:.2g} mV/V: the bridge is dead or not connected, and the loads are wrong"
+        )
+        for name in components:
+            unit = si_unit(name) if name in COMPONENTS else "N"
+            yield Doubt("stuck channel", name, text, "look at the bridge, its cable and its amplifier", None, unit)

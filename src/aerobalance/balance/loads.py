@@ -15,7 +15,13 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from aerobalance.balance.bridge_temperature import at_reference_temperature
-from aerobalance.balance.load_checks import check_iteration, check_range, check_rows, doubts_of_zero
+from aerobalance.balance.load_checks import (
+    check_iteration,
+    check_range,
+    check_rows,
+    doubts_of_bridges,
+    doubts_of_zero,
+)
 from aerobalance.balance.load_formats import FORM_MOMENTS, FORMS, Form, between_forms
 from aerobalance.balance.load_variance import load_variances
 from aerobalance.balance.matrix import BalanceMatrix
@@ -336,7 +342,10 @@ def loads_of_outputs(
         balance=balance,
         recording=recording,
         ready=tare is None and (zero.model_on is False or bool(zero.weight.any())),
-        doubts=tuple(doubts_of_zero(zero, components, slope)),
+        doubts=(
+            *doubts_of_zero(zero, components, slope),
+            *doubts_of_bridges(outputs, native, balance, components, sensitivity=middle),
+        ),
     )
     for text in dict.fromkeys(str(doubt) for doubt in loads.doubts):  # one sentence for all components
         warn_quality(f"{recording.name}: {text}")

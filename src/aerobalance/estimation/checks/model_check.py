@@ -78,8 +78,9 @@ def checked(force: Force) -> Force:
     if isinstance(record, CoupledRecord):
         filled = force.filled
         # with a dead channel nothing rings as the dynamics do, and that is said of it
-        otherwise = shape_doubts(record, filled, parts) if np.ptp(filled, axis=0).all() else {}
-        sure = any(part.doubts != parts[name].doubts for name, part in otherwise.items())
+        dead = any(doubt.kind == "stuck channel" and doubt.effect is None for doubt in force.doubts)
+        otherwise = shape_doubts(record, filled, parts) if np.ptp(filled, axis=0).all() and not dead else {}
+        sure = dead or any(part.doubts != parts[name].doubts for name, part in otherwise.items())
         parts |= {name: _named_only(part) if sure else part for name, part in otherwise.items()}
         # what rings otherwise leaves peaks everywhere
         decoupled = {} if sure else record.component_records(filled)
