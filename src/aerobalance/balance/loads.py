@@ -449,6 +449,9 @@ def _with_loads(recording: Recording, felt: Loads) -> Recording:
     own = [recording.low_passed[name] for name in gauges if name in recording.low_passed]
     lowest = min(own, key=lambda one: one.corner, default=None)
     low_passed = dict.fromkeys(felt.components, lowest) if lowest is not None else recording.low_passed
+    half = np.abs(felt.transform) @ (np.ptp(np.array(felt.balance.calibrated), axis=0) / 2)
+    once = not felt.zero.drift.any()  # no zero was read after the run
+    repeats = dict(zip(felt.components, (REPEATS * half).tolist(), strict=True)) if once else {}
     return replace(
         recording,
         channels=channels,
@@ -457,5 +460,5 @@ def _with_loads(recording: Recording, felt: Loads) -> Recording:
         from_outputs=True,
         declared=declared,
         zero_from_natural={name: one.load for name, one in felt.zero.from_natural.items() if one.of_range > REPEATS},
-        zero_after=bool(felt.zero.drift.any()),
+        zero_repeats=repeats,
     )

@@ -53,8 +53,9 @@ class Recording:
     zero_from_natural
         How far the zero that the loads count from lies from the natural zeros of the balance's calibration, beyond
         the weight, by component [N, N*m]; empty where that is not known.
-    zero_after
-        Whether the zero was read after the run as well, and what it has changed by is taken off.
+    zero_repeats
+        How far zeros differ that are as good as a balance repeats, by component [N, N*m], where no zero was read after
+        the run; empty where one was, or where the loads were not worked out from gauge outputs.
     extent
         Which part of a longer record it is; the whole where it is no part.
     declared
@@ -77,7 +78,7 @@ class Recording:
     gravity_on_zero: GravityOnZero = field(default_factory=GravityOnZero)
     from_outputs: bool = False
     zero_from_natural: Mapping[str, float] = field(default_factory=dict)
-    zero_after: bool = False
+    zero_repeats: Mapping[str, float] = field(default_factory=dict)
     extent: Extent = field(default_factory=Extent)
     declared: frozenset[str] = frozenset()
     low_passed: Mapping[str, AntiAlias] = field(default_factory=dict)

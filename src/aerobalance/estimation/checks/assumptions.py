@@ -28,7 +28,7 @@ from aerobalance.motion.platform import SystematicParameter, driven_column
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import STANDARD_GRAVITY, si_unit
 from aerobalance.recording.doubts import Assumption
-from aerobalance.recording.errors import FitError
+from aerobalance.recording.errors import FitError, argument
 from aerobalance.recording.gravity import Gravity
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import Transfer, filtered
@@ -125,14 +125,7 @@ def assumptions_of(
         )
         yield Assumption("zero", name, text, abs(shift), unit)
     least = SETTINGS.matters * float(np.sqrt(np.mean(fit.variance)))
-    drift = SETTINGS.drift * float(np.max(np.abs(reading.filled), initial=0.0))
-    if not record.recording.zero_after and drift / np.sqrt(3) > least:
-        text = (
-            f"the zero of {name} stays as it is while the run is recorded: one that moves steadily, by "
-            f"{100 * SETTINGS.drift:g} % of the largest load, would change the force by {{}}; a zero after the run "
-            "shows it"
-        )
-        yield _told("zero drift", name, text, float(drift / np.sqrt(3)), unit)
+    yield from _of_zero(record.recording, fit, name, least=least)
     yield from _beyond_readings(record.recording, fit, name, least=least)
     yield from _of_angles(record, unit, least=least)
     if moves_along_axis(record):
@@ -150,6 +143,26 @@ def assumptions_of(
             "as large as along it, would change the force by {}"
         )
         yield _told("cross-axis", name, text, effect_of(record.felt_under(item)), unit)
+
+
+def _of_zero(recording: Recording, fit: SmootherResult, name: str, *, least: float) -> Iterator[Assumption]:
+    """What is assumed of the zero that a load counts from; effects below `least` are not told."""
+    unit, repeats = si_unit(name), recording.zero_repeats.get(name, 0.0)
+    if repeats > least:
+        text = (
+            f"no zero was read after the run ({argument('Zero.after')}), so that what the bridges have moved by since "
+            f"their zero was read is in {name}: as much as zeros of a balance repeat, 0.1 % of half of range, would "
+            "change the force by {}"
+        )
+        yield _told("zero drift", name, text, repeats, unit)
+    steady = SETTINGS.drift * float(np.max(np.abs(fit.reading.filled), initial=0.0)) / float(np.sqrt(3))
+    if not recording.from_outputs and steady > least:
+        text = (
+            f"the zero of {name} stays as it is while the run is recorded: one that moves steadily, by "
+            f"{100 * SETTINGS.drift:g} % of the largest load, would change the force by {{}}; a zero after the run "
+            "shows it"
+        )
+        yield _told("zero drift", name, text, steady, unit)
 
 
 def _beyond_readings(recording: Recording, fit: SmootherResult, name: str, *, least: float) -> Iterator[Assumption]:
