@@ -454,3 +454,26 @@ def test_what_fills_a_long_gap_is_no_ringing(seed: int, gap: tuple[float, float]
         found = estimate_force(recording_of(values, clock.rate), dynamics)
     named = {"swapped sign", "swapped channels", "natural frequency", "damping ratio"}
     assert not named & {doubt.kind for doubt in found.doubts}
+
+
+@pytest.mark.parametrize(("samples", "moved_by"), [(4000, 0.005), (64_000, 0.0)], ids=["2 s", "32 s"])
+def test_natural_frequencies_that_a_record_does_not_tell_are_assumed(samples: int, moved_by: float, rng) -> None:
+    """Half a percent of all is seen by nothing in 2 s: the force by the balance's own dynamics differs by as much."""
+    dynamics = wide()
+    balance = Moved.none(dynamics).by(slice(None), np.array([moved_by, 0.0])).moved
+    clock = replace(SIX, rate=2000.0, samples=samples, fine=8)
+    force = np.column_stack([turbulence(clock, rng) for _ in COMPONENTS]) * HALF_RANGE
+    values = np.column_stack([clock.sampled(column) for column in felt(balance, force, clock).T])
+    values += rng.normal(size=values.shape) * NOISE * HALF_RANGE
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)
+        found, right = (estimate_force(recording_of(values, clock.rate), one) for one in (dynamics, balance))
+    effects = {one.component: one.effect for one in found.assumed if one.kind == "natural frequency"}
+    if moved_by == 0:  # 32 s tell the frequencies of all to half of that
+        assert not effects
+        return
+    assert found.verdict == Verdict.FIT
+    assert len(effects) >= 3
+    for name, effect in effects.items():
+        # to first order, of one realisation, within a third; at most: the estimate shows less near the noise
+        assert 0.65 < effect / np.std(found[name].values - right[name].values) < 2, name

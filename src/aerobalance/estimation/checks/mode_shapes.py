@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.estimation.checks.assumptions import SETTINGS as ASSUMED
 from aerobalance.estimation.checks.model_error import LEFT_OPEN, as_noise
 from aerobalance.estimation.checks.moved_modes import SETTINGS as MOVED
 from aerobalance.estimation.checks.moved_modes import (
@@ -34,7 +35,7 @@ from aerobalance.estimation.result import ComponentForce, with_errors
 from aerobalance.estimation.spectra.steady_tones import without_tones
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
-from aerobalance.recording.doubts import DOUBTED, Doubt
+from aerobalance.recording.doubts import DOUBTED, Assumption, Doubt
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,6 +49,9 @@ class ModeShapeSettings:
         and narrow bands of the load brought 9.
     tones_above
         Frequency above which tones are taken out, over the lowest natural frequency.
+    tells
+        Loss in log-likelihood with all natural frequencies another, by as much as they may usually be off, from which
+        on a record tells them to half of that.
     end
         Share of a whole record that may be left behind its last part: on a slower clock the last sample is some before
         the record's.
@@ -55,6 +59,7 @@ class ModeShapeSettings:
 
     decisive: float = 20.0
     tones_above: float = 0.5
+    tells: float = 2.0
     end: float = 1e-3
 
 
@@ -135,9 +140,10 @@ def force_errors(record: CoupledRecord, loads: Array, rows: Rows, bandwidth: Arr
 def shape_doubts(
     record: CoupledRecord, filled: Array, parts: Mapping[str, ComponentForce]
 ) -> dict[str, ComponentForce]:
-    """Return the forces that a record speaks against, with the errors counted; nothing where it does not.
+    """Return the forces that a record speaks against, with the errors counted, or that hang on what it does not tell.
 
-    They have doubts, but where the record leaves open whether other dynamics are right.
+    They have doubts, but where the record leaves open whether other dynamics are right, or does not tell the natural
+    frequencies, which are then among what is assumed.
 
     Parameters
     ----------
@@ -160,9 +166,9 @@ def shape_doubts(
     if other is None and within.stop - within.start > most and record.recording.extent.end > 1 - SETTINGS.end:
         other = _spoken(record, loads, parts, readings, within=slice(within.stop - most, within.stop))
         first = min(within.start + most, within.stop - most)
-    if other is None:
-        return {}
     bandwidth = np.array([parts[name].bandwidth for name in names])
+    if other is None:
+        return _frequencies_assumed(record, loads, parts, bandwidth=bandwidth, within=within)
     errors = np.sqrt(other.probability) * force_errors(record, loads, other.rows, bandwidth)
     errors[:first] = 0.0
     name_of_error = f"{DOUBTED}{other.kind}" if other.probability == 1 else LEFT_OPEN
@@ -182,6 +188,46 @@ def shape_doubts(
             doubt = Doubt(other.kind, name, text, advice, float(size[place]), si_unit(name))
             part = replace(part, doubts=(*part.doubts, doubt))
         found[name] = part
+    return found
+
+
+def _frequencies_assumed(
+    record: CoupledRecord, loads: Array, parts: Mapping[str, ComponentForce], *, bandwidth: Array, within: slice
+) -> dict[str, ComponentForce]:
+    """The forces that other natural frequencies would change, with that assumed; none where the record tells them.
+
+    Parameters
+    ----------
+    record, loads, parts
+        As of `shape_doubts`, the loads less what the ground's motion has put on them, shape (samples, n).
+    bandwidth
+        Frequencies up to which the forces are resolved [Hz], shape (n,).
+    within
+        Samples whose ringing is asked.
+    """
+    dynamics, own = record.dynamics, Moved.none(record.dynamics)
+    if dynamics.internal or len(dynamics.modes) != len(dynamics.components):
+        return {}
+    rows = [own.by(slice(None), np.array([sign * ASSUMED.frequency, 0.0])).rows for sign in (1, -1)]
+    size = np.sqrt(np.mean(force_errors(record, loads, rows[0], bandwidth) ** 2, axis=0))
+    least = [ASSUMED.matters * float(np.sqrt(np.mean(parts[name].uncertainty ** 2))) for name in dynamics.components]
+    if not (size > least).any():
+        return {}
+    ringing = RingingSpectra.of(record, loads[within], parts)
+    if ringing is not None:
+        lost = ringing.joint_evidence(ringing.own) - max(ringing.joint_evidence(one) for one in rows)
+        if lost > SETTINGS.tells:
+            return {}
+    found = {}
+    for name, effect, enough in zip(dynamics.components, size.tolist(), (size > least).tolist(), strict=True):
+        if enough:
+            unit = si_unit(name)
+            text = (
+                f"the natural frequencies of the modes are exact, which this record does not tell: "
+                f"{100 * ASSUMED.frequency:g} % more or less of all would change the force by {effect:.2g} {unit} rms"
+            )
+            one = Assumption("natural frequency", name, text, effect, unit)
+            found[name] = replace(parts[name], assumed=(*parts[name].assumed, one))
     return found
 
 
