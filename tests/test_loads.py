@@ -762,3 +762,18 @@ def test_what_bridges_moved_by_since_their_zero_is_assumed_unless_it_was_read_ag
         error = np.mean(force.only.values) - np.mean(load[:, 5])
         # the mean of 4000 readings is off by 0.0003 N
         assert told["zero drift"].effect == pytest.approx(error, rel=0.2)
+
+
+@pytest.mark.parametrize(("walks", "most"), [(0.0, 1.2), (20.0, 2.3), (60.0, 1.6)], ids=["white", "slight", "clear"])
+def test_a_zero_whose_bridges_drift_is_as_uncertain_as_that(
+    walks: float, most: float, balance: BalanceMatrix, rng
+) -> None:
+    """Random walks along the zero, as many times the noise of its mean: against where they end, as the run begins."""
+    scores = []
+    for _ in range(40):
+        walk = np.cumsum(rng.normal(0, 1, (2000, 6)), axis=0) * walks * NOISE / 2000
+        found = gauge_zero([recorded(walk + rng.normal(0, NOISE, (2000, 6)), name="zero")], balance, model_on=False)
+        scores.append((found.values - walk[-1]) / found.u)
+    # 240 values tell an rms of Gaussian ones to 5 %, of drifts, whose variance hardly tells itself, to some 15 %.
+    # A drift as large as the noise of a part is told from it half of the time; u was 5.5 and 6.4 times too small
+    assert 0.8 < np.sqrt(np.mean(np.square(scores))) < most

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from aerobalance.balance.bridge_outputs import gauge_outputs
 from aerobalance.balance.load_formats import role_of
 from aerobalance.balance.matrix import BalanceMatrix
-from aerobalance.balance.steady_means import batch_means, mean_of_records, variance_of_mean
+from aerobalance.balance.steady_means import batch_means, mean_of_records, variance_of_drift, variance_of_mean
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, is_gauge
 from aerobalance.recording.errors import FitError, argument
@@ -417,7 +417,8 @@ class _MeanOutputs:
             means.append(known.mean(axis=0))
             noises.append(noise)
             moves.append(np.where(moved, batches.std(axis=0), 0.0))
-            variances.append(variance_of_mean(known) + moves[-1] ** 2)
+            drift = np.where(moved, 0.0, variance_of_drift(known))
+            variances.append(variance_of_mean(known) + moves[-1] ** 2 + drift)
         count, noise = len(means), np.max(noises, axis=0)
         found = mean_of_records(means, variances)
         differ = is_moved(np.ptp(means, axis=0), noise, MOVED_IN_RANGE[1] * balance.output_scale)
