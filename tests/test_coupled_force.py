@@ -224,7 +224,7 @@ def test_motion_without_a_mass_is_refused(rng) -> None:
     balance, dynamics = _drawn(rng)
     rig = SixComponentRig(balance, pitch=lambda time: 0.1 + 0.01 * time, output="loads")
     recording = rig.run(0.1, rng).recording
-    with pytest.raises(FitError, match="hold no mass"):
+    with pytest.raises(FitError, match="hold no mass; their warnings say why"):
         estimate_force(recording, replace(dynamics, mass=None))
 
 

@@ -19,6 +19,8 @@ def test_a_peak_beside_a_mode_is_that_mode_and_any_other_is_missing(frequency, k
     assert doubt.kind == kind
     assert text in doubt.text
     assert doubt.unit == "N"
+    # a bridge that is 1 ms late leaves such a peak, at the frequency of the mode
+    assert ("late against the others" in doubt.text) == (kind == "natural frequency")
 
 
 def test_peaks_of_several_components_at_one_frequency_are_told_once_by_the_surest():

@@ -227,8 +227,9 @@ def net_load(platform: PlatformMotion, dynamics: CoupledDynamics) -> Array:
         return np.zeros((platform.specific_force.shape[0], len(dynamics.components)))
     if dynamics.mass is None:
         raise FitError(
-            "the ground end moves or pitches, but the dynamics hold no mass: give mass, centre of gravity and inertia "
-            f"when they are identified ({argument('mass')})"
+            "the ground end moves or pitches, but the dynamics hold no mass; their warnings say why, where a weighing "
+            "was given when they were identified. Give mass, centre of gravity and inertia then "
+            f"({argument('mass')})"
         )
     return platform.force(dynamics.mass)[:, [COMPONENTS.index(name) for name in dynamics.components]]
 

@@ -265,7 +265,8 @@ def _adjusted(problem: _ScaledDynamics, *, damping: bool, start: Array) -> Adjus
     if found is None:
         raise FitError(
             "the mass matrix behind the dynamics cannot be found: they are too uncertain, hardly coupled, or far from "
-            "those of a rigid mass; add releases, or give mass, centre of gravity and inertia"
+            "those of a rigid mass, as where bridges are exchanged, have another sign or matrix, or are late against "
+            "each other; look at these, add releases, or give mass, centre of gravity and inertia"
         )
     return found
 

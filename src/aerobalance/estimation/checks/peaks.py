@@ -64,13 +64,15 @@ def _doubt(peaks: list[Peak], modes: tuple[Mode, ...]) -> Doubt:
         kind = "natural frequency"
         text = (
             f"{where}, and not as the mode at {near.natural_frequency:.4g} Hz does that the dynamics have: stiffness, "
-            "mass or damping have changed since they were identified, or the flow adds its own; forces near that "
-            "frequency are wrong"
+            "mass or damping have changed since they were identified, the flow adds its own, or a channel is late "
+            "against the others or read by another matrix; forces near that frequency are wrong"
         )
+        advice = "compare delays and matrix with those of the identification, or identify the dynamics again"
     else:
         kind = "missing mode"
         text = (
             f"{where}, which is no mode of the dynamics: a mode of the model or the sting that they lack, or a narrow "
             "band of the load itself; forces near that frequency are wrong if it is a mode"
         )
-    return Doubt(kind, best.component, text, "identify the dynamics again", unit=si_unit(best.component))
+        advice = "identify the dynamics again"
+    return Doubt(kind, best.component, text, advice, unit=si_unit(best.component))
