@@ -9,8 +9,11 @@ from scipy import stats
 
 from aerobalance import weigh
 from aerobalance.balance.weighing import LoadPoints, MovingMass, fit_weight, points_from_recordings
+from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.rigid_body import RigidMass
+from aerobalance.estimation.checks.impossible_channels import impossible_channels
 from aerobalance.recording.channel import Channel
-from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.components import COMPONENTS, MOMENTS, STANDARD_GRAVITY, si_unit
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.gravity import weight_direction
 from aerobalance.recording.recording import Recording
@@ -306,3 +309,32 @@ def test_a_roll_that_was_never_read_is_no_attitude():
     never = recording(np.zeros(1000), np.zeros(1000), np.full(1000, np.nan))
     with pytest.raises(FitError, match="nowhere steady"):
         points_from_recordings([never], ["AF"])
+
+
+@pytest.mark.parametrize("unit", [1.0, 1000.0], ids=["N*m", "N*mm"])
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+def test_moments_in_another_unit_put_the_model_farther_away_than_any_is(unit):
+    """40 kg, 0.06 m ahead of the balance and 0.02 m above it: moments a thousand times too large are 63 m away."""
+    body = RigidMass(40.0, np.array([-0.06, 0.0, 0.02]), np.diag([1.0, 4.0, 4.5]))
+    pitch, roll = grid()
+    loads = body.weight(pitch, roll) * np.where([name in MOMENTS for name in COMPONENTS], unit, 1.0)
+    noise = np.random.default_rng(0).normal(0, 0.01, loads.shape)
+    found = fit_weight(LoadPoints(COMPONENTS, pitch, loads + noise, roll, None))
+    told = {doubt.component for doubt in found.doubts if doubt.kind == "units"}
+    assert told == (set(MOMENTS) if unit > 1 else set())
+    assert (found.verdict == "fit for use") == (unit == 1)
+    # and the force that is worked out with a mass like that, whose stiffness was read in the same unit
+    scaled = np.where([name in MOMENTS for name in COMPONENTS], unit, 1.0)
+    stiffness = np.diag([1e6, 1e5, 2e6, 2e5, 1e5, 5e6])
+    own = CoupledDynamics.of_rigid_mass(body, stiffness=stiffness, damping=1e-4 * stiffness)
+    mass = RigidMass(40.0, body.centre * unit, body.inertia * unit**2)
+    dynamics = replace(
+        own,
+        inertia=scaled[:, None] * own.inertia / scaled,
+        damping=scaled[:, None] * own.damping / scaled,
+        mass=mass,
+    )
+    channels = {name: Channel(name, np.zeros(100), si_unit(name)) for name in COMPONENTS}
+    run = Recording.from_columns(np.arange(100) / 1000, channels)
+    kinds = {(doubt.kind, doubt.component) for doubt in impossible_channels(run, dynamics) if doubt.kind == "units"}
+    assert kinds == ({("units", name) for name in MOMENTS} if unit > 1 else set())

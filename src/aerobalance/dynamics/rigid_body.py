@@ -26,6 +26,19 @@ MASS_PARAMETERS: Final = (
 SMALL: Final = 1e-6
 """Relative change of the mass's parameters over which its slopes are taken; the matrix is a polynomial in them."""
 
+FARTHEST: Final = 5.0
+"""Distance of a centre of gravity from the balance's centre, or radius of gyration, from which on units are asked
+about [m]: a model sits on its balance, and moments in N*mm that are called N*m put it a thousand times as far away."""
+
+TOO_FAR: Final = (
+    "no model is as large: forces and moments are in units that do not go together, such as N with N*mm, or some "
+    "are of another balance"
+)
+"""What that says."""
+
+UNITS_ADVICE: Final = "check the units of loads and capacities in the schedule of the calibration"
+"""What to do about it."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RigidMass:
@@ -69,6 +82,12 @@ class RigidMass:
     def values(self) -> Array:
         """Values of `MASS_PARAMETERS`, shape (10,)."""
         return np.array([self.mass, *self.centre, *self.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]])
+
+    @property
+    def reach(self) -> float:
+        """Distance of the centre of gravity from the balance's centre or largest radius of gyration [m]."""
+        gyration = float(np.sqrt(max(float(np.max(np.diag(self.inertia))), 0.0) / self.mass))
+        return max(float(np.linalg.norm(self.centre)), gyration)
 
     @property
     def matrix(self) -> Array:

@@ -14,7 +14,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -27,8 +27,10 @@ from aerobalance.balance.weighing.model import LEVERS, WeightModel
 from aerobalance.balance.weighing.point_doubts import doubts_of_points
 from aerobalance.balance.weighing.points import LoadPoints
 from aerobalance.balance.weighing.result import Agreement, MovingMass, Weighing, centre_of
+from aerobalance.dynamics.rigid_body import FARTHEST, TOO_FAR, UNITS_ADVICE
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import AXES, FORCE_AXES, STANDARD_GRAVITY
+from aerobalance.recording.components import AXES, FORCE_AXES, MOMENTS, STANDARD_GRAVITY
+from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.gravity import weight_direction
 
@@ -104,7 +106,18 @@ def fit_weight(points: LoadPoints, *, gravity: float = STANDARD_GRAVITY) -> Weig
     for doubt in doubts:
         warn_quality(str(doubt))
     found = _result(readings, separate=separate, common=common, chosen=chosen, agreements=(masses, centres))
-    return replace(found, doubts=doubts)
+    return replace(found, doubts=(*doubts, *_far_away(found)))
+
+
+def _far_away(found: Weighing) -> Iterator[Doubt]:
+    """Yield a doubt of units for each moment where the centre of gravity is farther away than any model's."""
+    away = float(np.linalg.norm(list(found.centre_of_gravity.values())))
+    if away > FARTHEST:
+        text = f"the centre of gravity comes out {away:.3g} m from the centre of the balance; {TOO_FAR}"
+        warn_quality(f"{text}; {UNITS_ADVICE}")
+        for name in found.components:
+            if name in MOMENTS:
+                yield Doubt("units", name, text, UNITS_ADVICE, None, "kg")
 
 
 def _readings(points: LoadPoints, gravity: float) -> tuple[str, Readings]:

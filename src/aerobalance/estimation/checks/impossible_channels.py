@@ -9,9 +9,12 @@ import numpy as np
 
 from aerobalance.balance.loads import Loads
 from aerobalance.dynamics.balance_dynamics import BalanceDynamics
+from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import IndependentDynamics
+from aerobalance.dynamics.rigid_body import FARTHEST, TOO_FAR
+from aerobalance.dynamics.rigid_body import UNITS_ADVICE as MASS_ADVICE
 from aerobalance.recording.channel import Channel
-from aerobalance.recording.components import STANDARD_GRAVITY, si_unit
+from aerobalance.recording.components import MOMENTS, STANDARD_GRAVITY, si_unit
 from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.stuck_samples import is_dead
@@ -52,7 +55,17 @@ def impossible_channels(given: Recording | Loads, dynamics: BalanceDynamics) -> 
     recording = given.recording if isinstance(given, Loads) else given
     present = [name for name in dynamics.components if name in recording]
     sizes = (doubt for name in present for doubt in _doubts_of_size(recording, dynamics.block_of(name), name))
-    return (*_doubts_of_channels(recording, dynamics, present), *sizes)
+    return (*_doubts_of_channels(recording, dynamics, present), *sizes, *_doubts_of_mass(dynamics, present))
+
+
+def _doubts_of_mass(dynamics: BalanceDynamics, present: Sequence[str]) -> Iterator[Doubt]:
+    """Doubts about units, where forces and moments together make a mass of no model's size."""
+    mass = dynamics.mass if isinstance(dynamics, CoupledDynamics) else None
+    if mass is not None and mass.reach > FARTHEST:
+        text = f"the mass of the dynamics reaches {mass.reach:.3g} m from the centre of the balance; {TOO_FAR}"
+        for name in present:
+            if name in MOMENTS:
+                yield Doubt("units", name, text, MASS_ADVICE, None, si_unit(name))
 
 
 def _doubts_of_channels(recording: Recording, dynamics: BalanceDynamics, present: Sequence[str]) -> Iterator[Doubt]:
