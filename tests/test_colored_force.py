@@ -136,11 +136,11 @@ def test_color_of_the_floor_is_seen(rng):
     "ignore:.*taken for noise of the electronics:aerobalance.recording.errors.DataQualityWarning"
 )
 def test_a_smooth_hump_is_no_force(seed):
-    """Few levels describe it badly, and a force that begins at 250 Hz, which the balance makes fall, described it."""
+    """Few levels describe it worse than a force that begins at 250 Hz and that the balance makes fall."""
     record, force = force_beside_a_hump(np.random.default_rng(seed))
     found = estimate_force(record, T128).only
     assert np.std((found.values - force)[N // 20 : -N // 20]) < 1.0
-    # its number of states does not grow with the levels: 6 % of a density, three of these
+    # 300 ordinates within its width tell a density to 6 %, three of these
     density = found.noise**2 / RATE + found.learned.color.density(np.array([300.0]))
     assert density == pytest.approx(3 * WHITE, rel=0.18)
 
