@@ -129,6 +129,15 @@ def test_what_noise_hides_of_a_triangular_wave_is_counted(height, rng):
         assert 1 / 3 < seen.hidden / np.sqrt(np.sum(left**2) / 2) < 3
 
 
+def test_a_harmonic_far_above_resonance_that_is_stronger_than_all_others_leaves_the_uncertainty_finite(rng):
+    """A rotor of many blades, above the natural frequency of 66 Hz: too strong there for one of its own series."""
+    force, load = tones_of(np.array([20.0, 10.0, 0.0, 50.0, 0.0, 500.0]), 20.0, rng)
+    assert np.isfinite(seen_in(load, rng).hidden)
+    found = ab.estimate_force(run_of(load, rng), T128)
+    assert np.isfinite(found.only.uncertainty).all()
+    assert np.sqrt(np.mean((found.only.values - force) ** 2)) < 3 * np.sqrt(np.mean(found.only.uncertainty**2))
+
+
 def test_a_square_wave_has_no_tones(rng):
     wave = 200.0 * np.sign(np.sin(2 * np.pi * 5.0 * (TIME + 0.013)))
     spectrum = np.fft.rfft(np.concatenate([wave, wave[::-1]]))

@@ -14,12 +14,13 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
+from math import log, log1p
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import rfft
-from scipy.interpolate import CubicSpline
+from scipy.special import expit
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.spectra.line_noise import MAINS, turned_time
@@ -148,6 +149,8 @@ def load_tones(
     more = _drift_of(left) if may_drift else ()
     if not more:
         return steady
+    from scipy.interpolate import CubicSpline  # noqa: PLC0415 - takes 30 ms, and few records need it
+
     drift: tuple[float, ...] = ()
     drifting, beside, readings = steady, left, CubicSpline(left.time, values)
     # in the time of the rotation a line that was spread is narrow, and tells what is left of the drift
@@ -286,22 +289,23 @@ def _series(
         Largest force that is taken for one of them [N].
     """
     taken, forces = list[float](), list[float]()
-    hidden, expected, missed, odds = 0.0, 0.0, 0, GOES_ON
+    hidden, expected, missed, odds = 0.0, 0.0, 0, log(GOES_ON)
     for at in harmonics.tolist():
         force, evidence = shown(at)
         if evidence > EVIDENCE_OF_HARMONIC[missed > 0] and 0 < force <= most:
             taken.append(at)
             forces.append(force)
-            missed, odds = 0, GOES_ON
+            missed, odds = 0, log(GOES_ON)
         elif taken:
             missed += 1
             falls = forces[-1] * (taken[-1] / at) ** 2  # as those of a load with kinks
-            # power over that of noise, which has an exponential distribution: of noise alone, and of what falls so
-            power = evidence / 3
-            ratio = power * falls**2 / max(force**2, 1e-300)
-            odds *= float(np.exp(power * ratio / (1 + ratio))) / (1 + ratio)
+            if np.isfinite(evidence):  # a line that is too strong for a harmonic hides whether there is one
+                # power over that of noise, which has an exponential distribution: of noise alone, and of what falls so
+                power = evidence / 3
+                ratio = power * falls**2 / max(force**2, 1e-300)
+                odds += power * ratio / (1 + ratio) - log1p(ratio)
             expected += falls**2 / 2
-            hidden += odds / (1 + odds) * min(force, falls) ** 2 / 2
+            hidden += float(expit(odds)) * min(force, falls) ** 2 / 2
             if missed == ENDED:
                 # all beyond, the sum of n^-4, as far as the ones that are looked at may be there
                 hidden += hidden / expected * falls**2 / 2 * at / (3 * apart)
