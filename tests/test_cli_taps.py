@@ -34,8 +34,8 @@ def answer(capsys, *words: str) -> dict:
 
 
 def test_taps_of_one_component_become_dynamics_and_response_functions(here, rng, capsys):
-    bounce = Blow(0.34, 300.0, 0.004)
-    write_recording(Path("taps.csv"), one_tapped(rng, extra=lambda made: (bounce,)))
+    bounced = one_tapped(rng, extra=lambda made: (Blow(made[0].instant + 0.03, 300.0, 0.004),))
+    write_recording(Path("taps.csv"), bounced)
     found = answer(
         capsys,
         *("identify", "impact", "taps.csv", "--component", "AF", "--mass", f"{MASS}"),

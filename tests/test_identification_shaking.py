@@ -278,7 +278,7 @@ def test_what_is_no_shaking_is_refused(rng):
         identified(recording, band=(100.0, 50.0))
     with pytest.raises(ValueError, match="half_range must give a positive value for PM, SF"):
         identify_shaking([recording], half_range={"NF": 1.0})
-    with pytest.raises(FitError, match=r"no shake moves .*so 6 of 6 modes stay unknown"):
+    with pytest.raises(FitError, match=r"no shake moves .*so [56] of 6 modes stay unknown"):
         noise = {name: replace(one, values=rng.normal(size=recording.samples)) for name, one in loads.items()}
         identified(replace(recording, channels={**recording.channels, **noise}))
 

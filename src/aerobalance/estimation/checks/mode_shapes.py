@@ -37,6 +37,9 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import DOUBTED, Assumption, Doubt
 
+AT_ONCE: Final = 1 << 12
+"""Frequencies whose matrices are in memory at once."""
+
 
 @dataclass(frozen=True, slots=True)
 class ModeShapeSettings:
@@ -50,8 +53,8 @@ class ModeShapeSettings:
     tones_above
         Frequency above which tones are taken out, over the lowest natural frequency.
     tells
-        Loss in log-likelihood with all natural frequencies another, by as much as they may usually be off, from which
-        on a record tells them to half of that.
+        Mean loss in log-likelihood with all natural frequencies higher and lower, by as much as they may usually be
+        off, from which on a record tells them to half of that.
     end
         Share of a whole record that may be left behind its last part: on a slower clock the last sample is some before
         the record's.
@@ -191,6 +194,29 @@ def shape_doubts(
     return found
 
 
+def _by_others(forces: Array, own: CoupledDynamics, other: CoupledDynamics, *, interval: float) -> Array:
+    """Rms of what the forces by the own dynamics are off by where others are right, shape (n,) [N, N*m].
+
+    Parameters
+    ----------
+    forces
+        The forces, shape (samples, n); their ends do not matter to their rms.
+    own, other
+        The dynamics.
+    interval
+        Time between samples [s].
+    """
+    count = 2 * len(forces)
+    lines = np.fft.rfft(np.concatenate([forces, forces[::-1]]), axis=0)
+    frequency, power = np.fft.rfftfreq(count, interval), np.zeros(forces.shape[1])
+    for first in range(0, frequency.size, AT_ONCE):
+        some = slice(first, first + AT_ONCE)
+        felt = np.einsum("mij,mj->mi", other.response(frequency[some]), lines[some])
+        change = np.einsum("mij,mj->mi", own.inverse_response(frequency[some]), felt) - lines[some]
+        power += 2 * np.sum(np.abs(change) ** 2, axis=0)
+    return np.asarray(np.sqrt(power) / count)
+
+
 def _frequencies_assumed(
     record: CoupledRecord, loads: Array, parts: Mapping[str, ComponentForce], *, bandwidth: Array, within: slice
 ) -> dict[str, ComponentForce]:
@@ -208,16 +234,21 @@ def _frequencies_assumed(
     dynamics, own = record.dynamics, Moved.none(record.dynamics)
     if dynamics.internal or len(dynamics.modes) != len(dynamics.components):
         return {}
-    rows = [own.by(slice(None), np.array([sign * ASSUMED.frequency, 0.0])).rows for sign in (1, -1)]
+    others = [own.by(slice(None), np.array([sign * ASSUMED.frequency, 0.0])) for sign in (1, -1)]
+    rows = [one.rows for one in others]
+    # at most: what noise has of it the smoother leaves out
     size = np.sqrt(np.mean(force_errors(record, loads, rows[0], bandwidth) ** 2, axis=0))
     least = [ASSUMED.matters * float(np.sqrt(np.mean(parts[name].uncertainty ** 2))) for name in dynamics.components]
     if not (size > least).any():
         return {}
     ringing = RingingSpectra.of(record, loads[within], parts)
     if ringing is not None:
-        lost = ringing.joint_evidence(ringing.own) - max(ringing.joint_evidence(one) for one in rows)
+        # by the curvature: which side is the likelier is chance where the record tells little
+        lost = ringing.joint_evidence(ringing.own) - 0.5 * sum(ringing.joint_evidence(one) for one in rows)
         if lost > SETTINGS.tells:
             return {}
+    forces = np.column_stack([parts[name].values for name in dynamics.components])
+    size = _by_others(forces, dynamics, others[0].moved, interval=record.interval)
     found = {}
     for name, effect, enough in zip(dynamics.components, size.tolist(), (size > least).tolist(), strict=True):
         if enough:

@@ -51,6 +51,8 @@ class MovedModeSettings:
         ratios.
     tries
         Dynamics that are tried at most to come closer to the best.
+    farthest
+        Logarithm of the largest change of a frequency and of a damping ratio that is looked for, either way.
     broad
         Damping ratio from which on a mode that was not known with half as much no longer rings: what is likelier
         with it is a spectrum of the load and no motion of the balance.
@@ -96,6 +98,7 @@ class MovedModeSettings:
     shifts: tuple[float, ...] = (0.01, 0.02, 0.04, 0.08, 0.16, 0.25, 0.35, 0.5)
     dampings: tuple[float, ...] = (0.4, 2.5)
     tries: int = 40
+    farthest: tuple[float, float] = (2.0, 12.0)
     broad: float = 0.1
     against: float = 0.3
     narrow: float = 0.1
@@ -283,8 +286,16 @@ def _closer(
         return -float(np.sum(_evidence(ringing, before.by(place, start + change * size))[bands]))
 
     simplex = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    most = SETTINGS.tries
-    best = minimize(lost, np.zeros(2), method="Nelder-Mead", options={"maxfev": most, "initial_simplex": simplex})
+    # where nothing rings it would go on for ever
+    low, high = ((side * np.array(SETTINGS.farthest) - start) / size for side in (-1.0, 1.0))
+    most, within = SETTINGS.tries, list(zip(low.tolist(), high.tolist(), strict=True))
+    best = minimize(
+        lost,
+        np.zeros(2),
+        method="Nelder-Mead",
+        bounds=within,
+        options={"maxfev": most, "initial_simplex": simplex},
+    )
     return before.by(place, start + best.x * size)
 
 

@@ -296,7 +296,7 @@ def _of_load(
         return False
     places = np.rint(sides / record.ordinate).astype(np.int64)
     tried = record.promising(places.ravel()).reshape(places.shape).all(axis=0)
-    # the nearest on either side tell how strong it may be: of a load of 4 Hz those at 20 and 100 Hz tell little of 60 Hz
+    # the nearest on either side tell how strong it may be: of 60 Hz those of 52 and 68 Hz, and not of 20 and 100 Hz
     for distance in np.sort(distances[tried]):
         beside = [record.line(line.frequency + side * distance, reach=record.ordinate) for side in (-1, 1)]
         # two lines of the mains have others of the mains in their middle
