@@ -412,8 +412,8 @@ def test_one_mode_that_has_moved_leaves_a_hole(what: str, place: int, rng) -> No
     """One of modes far apart, 5 % higher, under turbulence; of a narrow band of the load there no mode has moved.
 
     Modes moved together were looked for, and one alone by a reading whose damping is that of the decoupled component,
-    3 to 10 times the mode's: the force was some 10 of its uncertainties off and fit for use. Of 24 records 24 are named
-    (of the mode of 40 Hz 12), and of 48 narrow bands one is taken for a mode: of three two at least are right.
+    3 to 10 times the mode's: the force was some 10 of its uncertainties off and fit for use. All of 24 records are
+    named (of the mode of 40 Hz 12), and of 48 narrow bands one is taken for a mode: of three two at least are right.
     """
     dynamics, right = wide(), 0
     clock = replace(SIX, rate=2000.0, samples=16_000, fine=8)
