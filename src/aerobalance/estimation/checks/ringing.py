@@ -259,8 +259,11 @@ class RingingSpectra:
         told = self.shown if told is None else told
         volume = self.determinant(rows) if determinant is None else determinant
         found = np.empty(self.bands.size)
-        lines = ForceLines(self.readings(rows), rows.at(self.frequency), self.noise, self.gain, told, SETTINGS.noisy)
-        likeliest_levels(lines, self.bands, SETTINGS.iterations, SETTINGS.enough, found)
+        # of one order in memory, also of a stretch of them: the loop is compiled for each kind that it is given
+        lines, whole = np.ascontiguousarray(self.readings(rows)), np.ascontiguousarray(rows.at(self.frequency))
+        gain, told = np.ascontiguousarray(self.gain), np.ascontiguousarray(told)
+        forces = ForceLines(lines, whole, self.noise, gain, told, SETTINGS.noisy)
+        likeliest_levels(forces, self.bands, SETTINGS.iterations, SETTINGS.enough, found)
         return np.asarray(found + np.add.reduceat(volume * told, self.bands)) / HANN_BANDWIDTH
 
     def joint_evidence(self, rows: Rows) -> float:
