@@ -155,6 +155,37 @@ def score_roll_off(point: Floats, reading: AveragedReading, gradient: Floats, in
 
 
 @compiled(inner=True)
+def solve_by_root(table: Floats, size: int, step: Floats) -> None:
+    """Solve some equations by the root of their matrix, in place: of both the first numbers are taken.
+
+    Parameters
+    ----------
+    table
+        The matrix, which has positive eigenvalues, in its lower half, where its root is written; shape (n, n).
+    size
+        Number of equations.
+    step
+        Their right side, where what solves them is written, shape (n,).
+    """
+    for j in range(size):
+        for k in range(j + 1):
+            left = table[j, k]
+            for i in range(k):
+                left -= table[j, i] * table[k, i]
+            if k < j:
+                table[j, k] = left / table[k, k]
+            else:
+                table[j, j] = np.sqrt(left) if left > 0 else np.inf  # but for rounding: then it is not moved
+        for k in range(j):
+            step[j] -= table[j, k] * step[k]
+        step[j] /= table[j, j]
+    for j in range(size - 1, -1, -1):
+        for k in range(j + 1, size):
+            step[j] -= table[k, j] * step[k]
+        step[j] /= table[j, j]
+
+
+@compiled(inner=True)
 def solve_damped(
     slope: Floats,
     information: Floats,
@@ -189,23 +220,9 @@ def solve_damped(
                 step[j] -= both * stopped[k]
             table[j, k] = both if going[j] and going[k] else 0.0
         table[j, j] += table[j, j] * damping + (1e-9 if table[j, j] > 0 else 1.0)
-    for j in range(NUMBERS):  # the root of the matrix, which has positive eigenvalues, in its lower half
-        for k in range(j + 1):
-            left = table[j, k]
-            for i in range(k):
-                left -= table[j, i] * table[k, i]
-            if k < j:
-                table[j, k] = left / table[k, k]
-            else:
-                table[j, j] = np.sqrt(left) if left > 0 else np.inf  # but for rounding: then it is not moved
+    solve_by_root(table, NUMBERS, step)
     for j in range(NUMBERS):
-        for k in range(j):
-            step[j] -= table[j, k] * step[k]
-        step[j] /= table[j, j]
-    for j in range(NUMBERS - 1, -1, -1):
-        for k in range(j + 1, NUMBERS):
-            step[j] -= table[k, j] * step[k]
-        step[j] = step[j] / table[j, j] + stopped[j]
+        step[j] += stopped[j]
 
 
 class Search(NamedTuple):
@@ -471,20 +488,9 @@ def move_levels(
         for a in range(size):
             step[a] = slope[free[a]]
             for b in range(a + 1):
-                left = information[free[a], free[b]] * (1.0 if b < a else 1.0 + 1e-9)
-                for c in range(b):
-                    left -= table[a, c] * table[b, c]
-                if b < a:
-                    table[a, b] = left / table[b, b]
-                else:
-                    table[a, a] = np.sqrt(left) if left > 0 else np.inf  # but for rounding: then it is not moved
-            for b in range(a):
-                step[a] -= table[a, b] * step[b]
-            step[a] /= table[a, a]
-        for a in range(size - 1, -1, -1):
-            for b in range(a + 1, size):
-                step[a] -= table[b, a] * step[b]
-            step[a] /= table[a, a]
+                table[a, b] = information[free[a], free[b]]
+            table[a, a] *= 1.0 + 1e-9
+        solve_by_root(table, size, step)
         left_over = 0
         for a in range(size):
             if level[free[a]] + step[a] <= 0:
