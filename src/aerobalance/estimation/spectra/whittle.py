@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypedDict, Unpack
 
 import numpy as np
 from scipy.special import gammaincinv
@@ -81,36 +81,42 @@ class SpectrumFit:
     evidence: float
 
 
-def fit_spectrum(
-    periodogram: Periodogram,
-    *,
-    noise_density: float | None = None,
-    floor: float = 0.0,
-    smooth: bool = False,
-    rising: bool = False,
-    near: float | None = None,
-) -> SpectrumFit:
-    """Find the spectrum of the force and the noise of the reading.
+class NoiseKnown(TypedDict, total=False):
+    """What is known of the noise of a reading, and what its force may be.
 
-    Parameters
+    Attributes
     ----------
-    periodogram
-        Of the reading.
     noise_density
-        Density of the noise of the reading [N^2/Hz]; None when it is to be found.
+        Density of the noise of the reading [N^2/Hz]; None, as where it is left out, when it is to be found.
     floor
-        Least density of that noise [N^2/Hz].
+        Least density of that noise [N^2/Hz]; 0 where left out.
     smooth
         Whether only a spectrum that rolls off is looked for.
     rising
         Whether the force may be stronger where the balance weakens it than elsewhere.
     near
         Density of the noise that was found with nearly the same dynamics [N^2/Hz]: it is begun with in place of a
-        quiet level about it, and needs no further turn where it is the same.
+        quiet level about it, and needs no further turn where it is the same. None, as where it is left out, for none.
     """
-    return likeliest_of(
-        fit_spectra(periodogram, noise_density=noise_density, floor=floor, smooth=smooth, rising=rising, near=near)
-    )
+
+    noise_density: float | None
+    floor: float
+    smooth: bool
+    rising: bool
+    near: float | None
+
+
+def fit_spectrum(periodogram: Periodogram, **known: Unpack[NoiseKnown]) -> SpectrumFit:
+    """Find the spectrum of the force and the noise of the reading.
+
+    Parameters
+    ----------
+    periodogram
+        Of the reading.
+    **known
+        See `NoiseKnown`.
+    """
+    return likeliest_of(fit_spectra(periodogram, **known))
 
 
 def likeliest_of(fits: Sequence[SpectrumFit]) -> SpectrumFit:
@@ -122,24 +128,18 @@ def likeliest_of(fits: Sequence[SpectrumFit]) -> SpectrumFit:
     return best
 
 
-def fit_spectra(
-    periodogram: Periodogram,
-    *,
-    noise_density: float | None = None,
-    floor: float = 0.0,
-    smooth: bool = False,
-    rising: bool = False,
-    near: float | None = None,
-) -> list[SpectrumFit]:
+def fit_spectra(periodogram: Periodogram, **known: Unpack[NoiseKnown]) -> list[SpectrumFit]:
     """Find what a force may be: the likeliest from usual levels of the noise, and those with a fainter noise.
 
     Its arguments are those of `fit_spectrum`.
     """
+    noise_density, near, floor = known.get("noise_density"), known.get("near"), known.get("floor", 0.0)
     starts = quiet_levels(periodogram) if noise_density is None else [noise_density]
     if near is not None and noise_density is None and starts[0] / COLORED < near < starts[0] * COLORED:
         starts[0] = near
     least = floor if noise_density is None else None
     faint = _faint(periodogram) if noise_density is None else []
+    smooth, rising = known.get("smooth", False), known.get("rising", False)
     return [
         _likeliest(periodogram, some, floor=floor, least=least, smooth=smooth, rising=rising)
         for some in (starts, *([one] for one in faint))
