@@ -8,6 +8,7 @@ from aerobalance.app.monitor.engine import warm_up
 from aerobalance.balance.inversion import inverted
 from aerobalance.dynamics._kernels import first_order
 from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.spectra._kernels import ForceLines, likeliest_levels
 from aerobalance.simulation.cable_cut import CableCut
 
 
@@ -18,6 +19,9 @@ def compile_all() -> None:
     run = rig.run(1.5, np.random.default_rng(1))
     estimate_force(run.recording, rig.dynamics)
     first_order(0.5 + 0j, np.ones(2, dtype=complex))
+    both = np.ones((2, 2), dtype=complex)
+    levels = ForceLines(both, np.stack([both, both]), np.ones(2), np.ones((2, 2)), np.ones(2, dtype=bool), 0.01)
+    likeliest_levels(levels, np.zeros(1, dtype=np.int64), 1, 0.02, np.empty(1))
     terms = np.array([0, 0, 2, 2]), np.array([0, 1, 0, 1]), np.array([0, 1, 0, 1])
     bent = np.array([[1.0, 0.0], [0.0, 1.0], [0.1, 0.0], [0.0, 0.1]])  # y = x + x^2 / 10
     inverted(terms, bent, np.eye(2), np.array([[0.1, 0.1], [50.0, 50.0]]))  # the second by Newton's method
