@@ -41,6 +41,7 @@ TESTS = {
     "balance/matrix.py": ("test_balance", "test_calibration", "test_loads", PINNED),
     "estimation/direct.py": ("test_smoother", "test_force", "test_gravity", "test_coupled_baselines", PINNED),
     "estimation/force_smoother.py": (*SMOOTHER, "test_hum", "test_one_model"),
+    "estimation/signal_model.py": (*SMOOTHER, "test_hum", "test_colored_force"),
     "estimation/statespace/kalman.py": SMOOTHER,
     "identification/free_decay/fit.py": DECAY,
     "identification/free_decay/ring_fit.py": DECAY,

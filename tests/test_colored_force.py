@@ -7,9 +7,9 @@ import pytest
 
 from aerobalance.estimation.component_force import noise_of_component
 from aerobalance.estimation.force import estimate_force, force_record
-from aerobalance.estimation.force_smoother import SAME_LINE, SAME_NOISE, _differ
 from aerobalance.estimation.live.live_force import LiveForce
 from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.signal_model import SAME_LINE, SAME_NOISE, _differ
 from aerobalance.estimation.spectra.noise_floor import (
     GRID,
     _apart,

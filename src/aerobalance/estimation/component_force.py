@@ -6,84 +6,56 @@ a band. Each gives every sample a standard uncertainty.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, Literal, get_args
 
 import numpy as np
 
 from aerobalance.estimation.checks.assumptions import assumptions_of
-from aerobalance.estimation.checks.colored_noise import slow_noise_doubts
-from aerobalance.estimation.checks.faint_force import hidden_force
 from aerobalance.estimation.checks.ground_alignment import ChannelAlignment, alone, with_channel_aligned
 from aerobalance.estimation.checks.ground_channels import GroundFault
 from aerobalance.estimation.checks.ground_doubts import ground_doubts
 from aerobalance.estimation.checks.ground_witnesses import SETTINGS as GROUND_CHANNELS
-from aerobalance.estimation.checks.mains_hum import hidden_doubts, hidden_harmonics, hum_doubts, lines_within_load
-from aerobalance.estimation.checks.model_error import as_noise, error_behind
-from aerobalance.estimation.checks.resolution import resolution_doubt, rounding_error
-from aerobalance.estimation.checks.unexplained import excess_of, missed_force, sudden_excess
+from aerobalance.estimation.checks.left_open import left_open
+from aerobalance.estimation.checks.mains_hum import driven_lines, tell_of_hum
+from aerobalance.estimation.checks.model_error import as_noise
+from aerobalance.estimation.checks.noise_level import with_noise_level
+from aerobalance.estimation.checks.unexplained import unexplained_stretches
 from aerobalance.estimation.direct import band_limited, central_differences, missed
 from aerobalance.estimation.error_sources import Contribution, Noise
-from aerobalance.estimation.force_smoother import (
-    LARGEST_HUM,
-    LinearSmoother,
-    SignalModel,
-    SmootherResult,
-    fit_signal_model,
-)
+from aerobalance.estimation.force_smoother import LinearSmoother, SmootherResult
 from aerobalance.estimation.ground_gaps import has_hidden_motion, with_hidden_motion
 from aerobalance.estimation.independent_record import SingleRecord, moves_along_axis
-from aerobalance.estimation.prior import Observation, SpectralPrior, fit_prior
+from aerobalance.estimation.prior import Observation, SpectralPrior, fit_prior, resolved_bandwidth
 from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.result import ComponentForce, with_errors
-from aerobalance.estimation.spectra.line_noise import Hum, Line
-from aerobalance.estimation.spectra.noise_floor import departure_of
+from aerobalance.estimation.signal_model import SignalModel, fit_signal_model
+from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.spectra.noise_record import noise_spectrum_of
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
-from aerobalance.estimation.statespace.kalman import FORCE
 from aerobalance.estimation.step_search import RINGS, StepSearch
 from aerobalance.estimation.steps import columns_of
 from aerobalance.motion.platform import SystematicParameter
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
-from aerobalance.recording.doubts import DOUBTED, SETTINGS, Doubt
-from aerobalance.recording.errors import FitError, argument, warn_quality
+from aerobalance.recording.doubts import Doubt
+from aerobalance.recording.errors import FitError
 from aerobalance.recording.noise import step_of
-from aerobalance.recording.sensors import load_gain_left
 
 Method = Literal["smoother", "paper"]
 
 SAME_RATE: Final = 1e-3
 """Relative difference of two sampling rates that are the same."""
 
-FREQUENCIES: Final = 4097
-"""Frequencies from zero to half the sampling rate at which spectra are compared."""
+HIDDEN_HARMONICS: Final = "harmonics of the load that noise hides"
+"""Name of the error where a load that repeats may have more harmonics than are seen."""
 
 NOT_EXPLAINED: Final = "force that the model does not explain"
 """Name of the error where readings show a force that the model of the load leaves out."""
 
-HIDDEN_HARMONICS: Final = "harmonics of the load that noise hides"
-"""Name of the error where a load that repeats may have more harmonics than are seen."""
-
-NOISE_OR_FORCE: Final = "what may be force or noise"
-"""Name of the error where a record does not tell far above the natural frequency which of them it shows."""
-
-COUNTS: Final = 0.1
-"""Rms of that over the rest of the uncertainty from which on it is counted."""
-
 BEYOND_THE_BAND: Final = "force beyond the band, and at the ends"
 """Name of the error of a direct inverse where the force is too fast for it or its past or future is not recorded."""
-
-TOLD: Final = 0.7
-"""Logarithm of the ratio of powers from which on it is told that a channel states another noise than the run has: of
-less a number rounded to one digit may be off."""
-
-FILTER_MATTERS: Final = 0.5
-"""What a filter takes off the force over its uncertainty, from which on it is worth a word."""
-
-LONGEST_REACH: Final = 256
-"""Samples beside something sudden, at most, in which the force goes wrong with it."""
 
 
 def noise_of_component(record: ComponentRecord) -> NoiseSpectrum:
@@ -209,7 +181,7 @@ class Fitted:
     @classmethod
     def without_steps(cls, record: ComponentRecord) -> Fitted:
         """Work out the force of a component whose steps, if any, are a part of the prior, which takes less time."""
-        reading, doubts = _with_noise(record)
+        reading, doubts = with_noise_level(record)
         learned = fit_prior(reading, columns=columns_of([], reading))
         smoothed = SmootherResult.of(reading, learned=learned, steps=())
         return cls(record, "keep", SignalModel(reading, [], learned, (), ()), smoothed, doubts)
@@ -238,7 +210,7 @@ class Fitted:
 
     @classmethod
     def _fitted(cls, record: ComponentRecord, hum: Hum) -> Fitted:
-        reading, doubts = _with_noise(record)
+        reading, doubts = with_noise_level(record)
         resolution = step_of(record.load) if moves_along_axis(record) else None
         signal = fit_signal_model(reading, hum=hum, resolution=resolution)
         smoothed = SmootherResult.of(signal.reading, learned=signal.learned, steps=signal.steps)
@@ -259,17 +231,17 @@ class Fitted:
         doubts = list(self.doubts)
         if signal.ended is not None:
             doubts.append(_search_ended(signal.ended))
-        white = fit.innovations
+        white, start = fit.innovations, record.recording.start
         if record.shared is None:
-            level, strange, missed_there = _unexplained(record, fit, white, bends=signal.bends)
+            level, strange, missed_there = unexplained_stretches(fit, white, start=start, bends=signal.bends)
         else:  # what is noisier by what is not known there is no fault of the model
             calm = np.where(record.shared.level > 1, 0.0, white)
-            level, strange, missed_there = _unexplained(record, fit, calm, bends=signal.bends)
+            level, strange, missed_there = unexplained_stretches(fit, calm, start=start, bends=signal.bends)
             level = np.maximum(record.shared.level, level)
         doubts += strange
         lines = fit.sized(signal.hum)
         if self.hum == "mains":
-            _tell_of_hum(record, lines, driven=self._driven)
+            tell_of_hum(record, lines, driven=driven_lines(record, signal.large))
         estimator, whole = fit.estimator, bool(reading.present.all())
 
         def through(series: Array) -> Array:
@@ -299,7 +271,7 @@ class Fitted:
         if signal.hidden:
             hidden = np.full(reading.values.size, signal.hidden)
             errors.append(Noise(HIDDEN_HARMONICS, record.dynamics.component, hidden, np.ones(1)))
-        for told, unseen in (*self._behind_filter(errors), *self._unseen(errors)):
+        for told, unseen in list(left_open(record, signal, fit, hum=self.hum, errors=errors)):
             errors += unseen
             doubts += told
         return record.finish(
@@ -308,7 +280,7 @@ class Fitted:
             method=f"smoother, force's spectrum learned: {learned.spectrum}{_words_on_tones(reading.tones)}"
             f"{_words_on_noise(record, learned)}",
             noise=noise,
-            bandwidth=_resolved_bandwidth(reading, learned),
+            bandwidth=resolved_bandwidth(reading, learned),
             noise_gain=float(np.sqrt(np.mean(fit.variance))) / noise,
             steps=tuple(steps),
             bends=signal.bends,
@@ -320,105 +292,6 @@ class Fitted:
             assumed=tuple(assumptions_of(record, fit, through, hum=self.hum)),
             found_motion=self.found_motion,
         )
-
-    @property
-    def _driven(self) -> tuple[Line, ...]:
-        """Lines at frequencies of the mains that are so large that nobody would record such hum."""
-        largest = LARGEST_HUM * float(np.nanmax(np.abs(self.record.load)))
-        return tuple(line for line in self._large if line.amplitude > largest)
-
-    @property
-    def _large(self) -> tuple[Line, ...]:
-        """Lines at frequencies of the mains that are taken for force, unless the record of noise shows them too."""
-        known = () if self.record.noise is None else self.record.noise.hum
-        resolved = 1 / (self.signal.reading.values.size * self.record.interval)
-        return tuple(
-            line
-            for line in self.signal.large
-            if not any(abs(line.frequency - hum.frequency) < resolved + hum.width * hum.frequency for hum in known)
-        )
-
-    def _behind_filter(self, errors: Sequence[Contribution]) -> Iterator[tuple[list[Doubt], list[Contribution]]]:
-        """What the filter of the load takes off the force that is not made up for."""
-        record, fit = self.record, self.smoothed
-        name, smooth = record.dynamics.component, fit.states[:, FORCE]
-        low_pass = record.recording.low_passed.get(name)
-        if low_pass is None:
-            return
-        error = error_behind(smooth, fit.force - smooth, low_pass, own=record.dynamics, interval=record.interval)
-        effect, rest = (float(np.sqrt(np.mean(one**2))) for one in (error, _deviation(errors)))
-        period = 1 / record.dynamics.natural_frequency
-        noise = as_noise(error, name=f"{DOUBTED}filter gain", period=period, interval=record.interval)
-        if effect < FILTER_MATTERS * rest:
-            yield [], [noise]
-            return
-        frequency = np.linspace(0, 0.5 / record.interval, FREQUENCIES)
-        whole = float(frequency[np.flatnonzero(load_gain_left(low_pass, frequency) > 1 - 1e-9)[-1]])
-        unit = si_unit(name)
-        text = (
-            f"{name} was read behind a {low_pass}, which is undone in full up to {whole:.3g} Hz: beyond, its noise "
-            "would be raised with it and pass for force. The force has power there, of which the filter takes off "
-            f"{effect:.3g} {unit} rms; that is in the uncertainty"
-        )
-        advice = "record with a filter of a higher corner, above twice the highest frequency of the force"
-        yield [Doubt("filter gain", name, text, advice, effect, unit)], [noise]
-
-    def _unseen(self, errors: Sequence[Contribution]) -> Iterator[tuple[list[Doubt], list[Contribution]]]:
-        """What the record leaves open of noise with a color, of a force that noise or a converter hide, and of hum."""
-        record, reading, learned = self.record, self.signal.reading, self.signal.learned
-        component, count = record.dynamics.component, reading.values.size
-        unit = si_unit(component)
-        for told, open_ in slow_noise_doubts(self.signal, component, unit=unit):
-            yield [told] if told else [], [open_] if open_ else []
-        floor = self.signal.floor
-        if floor is not None:
-            rest = float(np.sqrt(np.mean(_deviation(errors) ** 2)))
-            told = floor.doubt(component, unit=unit) if floor.missing > SETTINGS.doubtful * rest else None
-            if floor.missing > COUNTS * rest:
-                missing = np.full(count, floor.missing)
-                yield [told] if told else [], [Noise(NOISE_OR_FORCE, component, missing, floor.density)]
-        hidden = hidden_force(reading, learned, left=self.smoothed.residuals)
-        if hidden is not None:
-            told = hidden.doubt(component, unit=unit)
-            yield [told] if told else [], [hidden.error(component, count=count, interval=reading.interval)]
-        if self.hum != "keep" and not self._driven:
-            for doubt, noise in hum_doubts(
-                record.dynamics,
-                learned,
-                named=() if isinstance(self.hum, str) else self.hum,
-                large=self._large,
-                of_load=self.signal.of_load,
-                count=count,
-                interval=reading.interval,
-                unit=unit,
-            ):
-                yield [doubt], [noise]
-        if self.hum == "mains" and record.noise is None:
-            fit = self.smoothed
-            left = np.where(reading.present, reading.filled - fit.columns @ fit.sizes, 0.0)
-            lines = fit.sized(self.signal.hum)
-            for doubt, noise in lines_within_load(reading, learned, lines=lines, unit=unit):
-                yield [doubt], [noise]
-            told, hidden_hum = hidden_doubts(
-                component,
-                hidden_harmonics(reading, learned, left, lines=lines, of_load=self.signal.of_load),
-                rest=float(np.sqrt(np.mean(_deviation(errors) ** 2))),
-                count=count,
-                interval=reading.interval,
-                unit=unit,
-            )
-            yield [told] if told else [], [*hidden_hum]
-        step = step_of(record.load)
-        error = rounding_error(reading, learned, step=step) if step else None
-        if error is not None:
-            rest = float(np.sqrt(sum(np.mean(one.deviation**2) for one in errors)))
-            told = resolution_doubt(component, error, step=step, rest=rest, unit=unit)
-            yield [told] if told else [], [error]
-
-
-def _deviation(errors: Sequence[Contribution]) -> Array:
-    """Standard uncertainty by some errors, shape (n,) [N]."""
-    return np.asarray(np.sqrt(np.sum([one.deviation**2 for one in errors], axis=0)))
 
 
 def _with_values_of(record: ComponentRecord, reading: Observation) -> Observation:
@@ -445,106 +318,8 @@ def _words_on_noise(record: ComponentRecord, learned: SpectralPrior) -> str:
     return ""
 
 
-def _with_noise(record: ComponentRecord) -> tuple[Observation, tuple[Doubt, ...]]:
-    """The reading with the noise that was given, unless its white part is not that of the run, and what that says."""
-    reading, stated = record.reading(), record.noise is None
-    if stated and record.recording.from_outputs:
-        return reading, ()  # nobody has stated it: it is what calibration and zero leave of the gauge outputs
-    ratio = departure_of(reading, stated=stated) if record.shared is None else None
-    if ratio is None:
-        return reading, ()
-    judged = replace(reading, noise=None)
-    if stated and abs(np.log(ratio)) < TOLD:
-        return judged, ()
-    name = record.dynamics.component
-    unit, text = si_unit(name), f"the white noise of {name} has {ratio:.2g} times the power that "
-    if stated:
-        text += (
-            f"its channel states ({reading.noise:.3g} {unit} a reading), as another gain or unit, or a force of a "
-            "very wide band, would make it; it is judged from the run"
-        )
-    else:
-        text += (
-            "it has in the record of noise, as another gain, filter or cabling, or a force of a very wide band, would "
-            "make it; it is judged from the run, and what the noise has beyond white is taken as recorded"
-        )
-    return judged, (Doubt("noise level", name, text, effect=0.0 if stated else None, unit=unit),)
-
-
 def _search_ended(search: StepSearch) -> Doubt:
     """What it says that not all steps were found."""
     name = search.reading.dynamics.component
     kind = "unexplained" if search.end == RINGS else "too many steps"
     return Doubt(kind, name, search.said, unit=si_unit(name))
-
-
-def _tell_of_hum(record: ComponentRecord, lines: tuple[Line, ...], *, driven: tuple[Line, ...]) -> None:
-    """Say which lines at frequencies of the mains are not in the force, and which are, as they are a drive."""
-    told = (
-        (
-            lines,
-            (
-                "are taken for mains hum and not for force; if a force was applied at such a frequency it is missing "
-                f"from the result: keep it with {argument('hum', 'keep')}"
-            ),
-        ),
-        (
-            driven,
-            (
-                "lie where the mains do, but are so large a part of the record that they are taken for force; if they "
-                f"are hum, the force is wrong by them: name their frequencies with {argument('hum')}"
-            ),
-        ),
-    )
-    unit = si_unit(record.dynamics.component)
-    for some, what in told:
-        named = [f"{line.frequency:.7g} Hz ({line.amplitude:.3g} {unit} in the reading)" for line in some]
-        if named:
-            warn_quality(
-                f"{record.recording.name}: steady lines of {record.dynamics.component} at {', '.join(named)} {what}"
-            )
-
-
-def _unexplained(
-    record: ComponentRecord, fit: SmootherResult, white: Array, *, bends: Sequence[float]
-) -> tuple[Array, list[Doubt], Array]:
-    """Variance of the innovations over what is expected, what it says, and the force that is missed, (n,) [N].
-
-    At a sudden change of slope, of whose instants `bends` are [s], a stretch departs from any stationary force.
-    """
-    level, edges = excess_of(white)
-    in_blocks = np.repeat(level, np.diff(edges))
-    highest = _resolved_bandwidth(fit.reading, fit.learned)
-    reach = min(int(np.ceil(0.5 / max(highest * record.interval, 1e-3))), LONGEST_REACH)
-    raised = np.maximum(in_blocks, sudden_excess(white, reach=reach))
-    strange = np.flatnonzero(level > 1)
-    if not strange.size:
-        return raised, [], np.zeros(white.size)
-    missed = missed_force(fit.reading, fit.learned, residuals=fit.residuals, strange=in_blocks > 1)
-    bent = [int(np.searchsorted(edges, at / record.interval, side="right")) - 1 for at in bends]
-    strange = np.setdiff1d(strange, [one + beside for one in bent for beside in (-1, 0, 1)])
-    if not strange.size:
-        return raised, [], missed
-    worst = int(strange[np.argmax(level[strange])])
-    start, stop = (record.recording.start + float(edge) * record.interval for edge in edges[worst : worst + 2])
-    name, unit = record.dynamics.component, si_unit(record.dynamics.component)
-    there = missed[in_blocks > 1]
-    size = float(np.sqrt(np.mean(there**2)))
-    shown = f"the force that the readings show beyond it, {size:.3g} {unit} rms, is" if size else "that of noise is"
-    text = (
-        f"in {strange.size} of {level.size} stretches the readings of {name} "
-        f"depart from what the model of balance and load expects, most between {start:.4g} and {stop:.4g} s "
-        f"({np.sqrt(level[worst]):.2g} times the chance scatter); {shown} in the uncertainty there, but an error that "
-        "the model makes everywhere is not"
-    )
-    return raised, [Doubt("unexplained", name, text, unit=unit)], missed
-
-
-def _resolved_bandwidth(reading: Observation, learned: SpectralPrior) -> float:
-    """Frequency up to which the force is stronger in the reading than the noise [Hz]; 0 if it is nowhere."""
-    frequency = np.linspace(0, 0.5 / reading.interval, FREQUENCIES)[1:]
-    transfer = np.abs(reading.dynamics.response(frequency)) ** 2
-    force = transfer * learned.spectrum.density(frequency)
-    noise = transfer * reading.input_density + learned.noise_density(frequency, interval=reading.interval)
-    above = np.flatnonzero(force > noise)
-    return float(frequency[above[-1]]) if above.size else 0.0

@@ -21,6 +21,9 @@ from aerobalance.recording.resampling import gaps_in, interpolate_gaps_linearly
 BACKGROUND: Final = 1e-2
 """Variance of the force's background, over the variance of the estimate's error: nothing is taken as impossible."""
 
+RESOLVED_AT: Final = 4097
+"""Frequencies from zero to half the sampling rate at which it is looked whether force or noise is the stronger."""
+
 
 TOLERANCE: Final = 100.0
 """Error of the shaping filter's density where it is largest, over the density of that background."""
@@ -455,3 +458,13 @@ def evidence_of_prior(reading: Observation, learned: SpectralPrior, *, columns: 
     """Log-likelihood of a reading by what was learned, less Schwarz's price of the spectrum's parameters."""
     price = 0.5 * learned.spectrum.parameters * float(np.log(reading.values.size))
     return log_likelihood(reading, _filter(reading, learned), columns=columns) - price
+
+
+def resolved_bandwidth(reading: Observation, learned: SpectralPrior) -> float:
+    """Return the frequency up to which force is stronger in the reading than noise [Hz]; 0 if it is nowhere."""
+    frequency = np.linspace(0, 0.5 / reading.interval, RESOLVED_AT)[1:]
+    transfer = np.abs(reading.dynamics.response(frequency)) ** 2
+    force = transfer * learned.spectrum.density(frequency)
+    noise = transfer * reading.input_density + learned.noise_density(frequency, interval=reading.interval)
+    above = np.flatnonzero(force > noise)
+    return float(frequency[above[-1]]) if above.size else 0.0

@@ -10,10 +10,13 @@ import numpy as np
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.error_sources import Noise
 from aerobalance.estimation.prior import Observation, SpectralPrior
+from aerobalance.estimation.record import ComponentRecord
+from aerobalance.estimation.signal_model import LARGEST_HUM
 from aerobalance.estimation.spectra.line_noise import LINE_EVIDENCE, MAINS, MOST_HARMONICS, Line, columns_of_lines
 from aerobalance.recording.channel import Array
+from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import Assumption, Doubt
-from aerobalance.recording.errors import argument
+from aerobalance.recording.errors import argument, warn_quality
 
 NARROW: Final = 0.05
 """Width of a band over its frequency up to which it may be hum that drifts."""
@@ -283,3 +286,55 @@ def _narrow_bands(learned: SpectralPrior, interval: float, *, resolved: float) -
         beside = float(max(levels[place], levels[place + 2]))
         if level > STANDS_OUT * beside and high - low <= NARROW * (low + high) / 2 + resolved:
             yield low, high, float(np.sqrt(2 * (level - beside) * (high - low)))
+
+
+def unknown_lines(record: ComponentRecord, large: Sequence[Line]) -> tuple[Line, ...]:
+    """Return those lines at frequencies of the mains, taken for force, that the record of noise does not show as well.
+
+    Parameters
+    ----------
+    record
+        The component made ready.
+    large
+        Lines that are too large a part of the record to be taken for hum.
+    """
+    known = () if record.noise is None else record.noise.hum
+    resolved = 1 / (record.load.size * record.interval)
+    return tuple(
+        line
+        for line in large
+        if not any(abs(line.frequency - hum.frequency) < resolved + hum.width * hum.frequency for hum in known)
+    )
+
+
+def driven_lines(record: ComponentRecord, large: Sequence[Line]) -> tuple[Line, ...]:
+    """Return those of them that are so large that nobody would record such hum."""
+    largest = LARGEST_HUM * float(np.nanmax(np.abs(record.load)))
+    return tuple(line for line in unknown_lines(record, large) if line.amplitude > largest)
+
+
+def tell_of_hum(record: ComponentRecord, lines: tuple[Line, ...], *, driven: tuple[Line, ...]) -> None:
+    """Say which lines at frequencies of the mains are not in the force, and which are, as they are a drive."""
+    told = (
+        (
+            lines,
+            (
+                "are taken for mains hum and not for force; if a force was applied at such a frequency it is missing "
+                f"from the result: keep it with {argument('hum', 'keep')}"
+            ),
+        ),
+        (
+            driven,
+            (
+                "lie where the mains do, but are so large a part of the record that they are taken for force; if they "
+                f"are hum, the force is wrong by them: name their frequencies with {argument('hum')}"
+            ),
+        ),
+    )
+    unit = si_unit(record.dynamics.component)
+    for some, what in told:
+        named = [f"{line.frequency:.7g} Hz ({line.amplitude:.3g} {unit} in the reading)" for line in some]
+        if named:
+            warn_quality(
+                f"{record.recording.name}: steady lines of {record.dynamics.component} at {', '.join(named)} {what}"
+            )

@@ -8,14 +8,18 @@ back, (1 - H) F, where they stand out of the noise of their surroundings; noise 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtri
 
-from aerobalance.estimation.prior import Observation, SpectralPrior
+from aerobalance.estimation.force_smoother import SmootherResult
+from aerobalance.estimation.prior import Observation, SpectralPrior, resolved_bandwidth
 from aerobalance.recording.channel import Array
+from aerobalance.recording.components import si_unit
+from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.fourier import hann
 
 BLOCK: Final = 256
@@ -30,9 +34,57 @@ SUDDEN: Final = (4, 16, 64)
 BY_CHANCE: Final = 1e-9
 """Probability with which chance alone makes the mean square over so many samples as large as it must be for that."""
 
+LONGEST_REACH: Final = 256
+"""Samples beside something sudden, at most, in which the force goes wrong with it."""
+
 STANDS_OUT: Final = 12.0
 """Power of a residual over that of the noise, of the block's own where that is stronger, that chance does not reach:
 e^-12 for each of some hundred frequencies."""
+
+
+def unexplained_stretches(
+    fit: SmootherResult, white: Array, *, start: float, bends: Sequence[float]
+) -> tuple[Array, list[Doubt], Array]:
+    """Return variance of innovations over what is expected (n,) [1], what is told, and force that is missed (n,) [N].
+
+    Parameters
+    ----------
+    fit
+        The force, and the reading that it is of.
+    white
+        Innovations over their expected deviation, shape (n,).
+    start
+        Time of the first reading [s].
+    bends
+        Instants of sudden changes of slope, from the first reading [s]: there a stretch departs from any stationary
+        force.
+    """
+    interval, name = fit.reading.interval, fit.reading.dynamics.component
+    level, edges = excess_of(white)
+    in_blocks = np.repeat(level, np.diff(edges))
+    highest = resolved_bandwidth(fit.reading, fit.learned)
+    reach = min(int(np.ceil(0.5 / max(highest * interval, 1e-3))), LONGEST_REACH)
+    raised = np.maximum(in_blocks, sudden_excess(white, reach=reach))
+    strange = np.flatnonzero(level > 1)
+    if not strange.size:
+        return raised, [], np.zeros(white.size)
+    missed = missed_force(fit.reading, fit.learned, residuals=fit.residuals, strange=in_blocks > 1)
+    bent = [int(np.searchsorted(edges, at / interval, side="right")) - 1 for at in bends]
+    strange = np.setdiff1d(strange, [one + beside for one in bent for beside in (-1, 0, 1)])
+    if not strange.size:
+        return raised, [], missed
+    worst = int(strange[np.argmax(level[strange])])
+    first, last = (start + float(edge) * interval for edge in edges[worst : worst + 2])
+    unit, there = si_unit(name), missed[in_blocks > 1]
+    size = float(np.sqrt(np.mean(there**2)))
+    shown = f"the force that the readings show beyond it, {size:.3g} {unit} rms, is" if size else "that of noise is"
+    text = (
+        f"in {strange.size} of {level.size} stretches the readings of {name} "
+        f"depart from what the model of balance and load expects, most between {first:.4g} and {last:.4g} s "
+        f"({np.sqrt(level[worst]):.2g} times the chance scatter); {shown} in the uncertainty there, but an error that "
+        "the model makes everywhere is not"
+    )
+    return raised, [Doubt("unexplained", name, text, unit=unit)], missed
 
 
 def excess_of(white: Array) -> tuple[Array, NDArray[np.intp]]:
