@@ -18,6 +18,7 @@ from scipy.optimize import minimize
 
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.checks import _kernels as line_kernels
 from aerobalance.estimation.live import _live_kernels
 from aerobalance.estimation.live.filter import KnownShape, LiveFilter
 from aerobalance.estimation.spectra import _kernels as spectral_kernels
@@ -34,9 +35,9 @@ ROUNDING = np.finfo(np.float64).eps
 
 
 @pytest.fixture(scope="module")
-def plain() -> Iterator[tuple[ModuleType, ModuleType, ModuleType]]:
-    """The three modules of kernels as they are without compilation."""
-    names = (_kernels.__name__, _live_kernels.__name__, spectral_kernels.__name__)
+def plain() -> Iterator[tuple[ModuleType, ...]]:
+    """The four modules of kernels as they are without compilation."""
+    names = (_kernels.__name__, _live_kernels.__name__, spectral_kernels.__name__, line_kernels.__name__)
     compiled = {name: sys.modules.pop(name) for name in names}
     before, numba.config.DISABLE_JIT = numba.config.DISABLE_JIT, 1
     try:
@@ -49,7 +50,7 @@ def plain() -> Iterator[tuple[ModuleType, ModuleType, ModuleType]]:
         for name, module in compiled.items():
             package, _, last = name.rpartition(".")
             setattr(sys.modules[package], last, module)
-    yield modules[0], modules[1], modules[2]
+    yield modules
 
 
 def system() -> StateSpace:
@@ -185,11 +186,15 @@ def spectral(kernels: ModuleType, numbers: tuple[np.ndarray, ...]) -> list[np.nd
     free[0, 3] = False
     lowered, cost = np.clip(points, lower, upper), np.zeros(len(points))
     kernels.lower_roll_offs(lowered, cost, free, reading, kernels.Search(lower, upper, STEPS, 1e-4, 0.8, DAMPING))
-    likely = [np.zeros(5), np.zeros(5)]
-    forces = force_lines(kernels)
-    for share, found in zip((0.0, 1e-3), likely, strict=True):
-        kernels.likeliest_levels(forces._replace(share=share), np.array([0, 12, 24, 36, 40]), 8, 1e-9, found)
-    return [total, moved, path, *edges, cost, lowered, *likely]
+    return [total, moved, path, *edges, cost, lowered]
+
+
+def likely(kernels: ModuleType) -> list[np.ndarray]:
+    """Likelihoods of lines of forces, with all noise in common and with that alone which counts."""
+    found, forces = [np.zeros(5), np.zeros(5)], force_lines(kernels)
+    for share, one in zip((0.0, 1e-3), found, strict=True):
+        kernels.likeliest_levels(forces._replace(share=share), np.array([0, 12, 24, 36, 40]), 8, 1e-9, one)
+    return found
 
 
 def force_lines(kernels: ModuleType) -> Any:
@@ -213,9 +218,9 @@ def test_levels_of_forces_are_the_likeliest(rng):
 
     The lines' covariance is diag(gain * level) + W R W^H. Of one band less than 1e-6 is left to gain.
     """
-    forces, bands = force_lines(spectral_kernels), [0, 12, 24, 36, 40]
+    forces, bands = force_lines(line_kernels), [0, 12, 24, 36, 40]
     found = np.zeros(5)
-    spectral_kernels.likeliest_levels(forces, np.array(bands), 30, 1e-9, found)
+    line_kernels.likeliest_levels(forces, np.array(bands), 30, 1e-9, found)
 
     def lost(logarithms: np.ndarray, places: np.ndarray) -> float:
         rows, lines = forces.rows[places], forces.lines[:, places].T
@@ -246,9 +251,9 @@ def test_compiled_and_plain_kernels_of_spectra_agree(rng, plain):
     """
     numbers = rng.exponential(size=(30, 6)), np.cumsum(rng.normal(0, 0.2, 80)), rng.normal(size=(8, 5))
     numbers += (rng.normal(size=(7, 40)),)
-    lines = Lines(plain[2])
-    interpreted = lines.of(lambda: spectral(plain[2], numbers))
-    for one, other in zip(spectral(spectral_kernels, numbers), interpreted, strict=True):
+    lines = Lines(plain[2], plain[3])
+    interpreted = lines.of(lambda: spectral(plain[2], numbers) + likely(plain[3]))
+    for one, other in zip(spectral(spectral_kernels, numbers) + likely(line_kernels), interpreted, strict=True):
         roundings = 100 * 40 * STEPS * 5 / DAMPING
         np.testing.assert_allclose(one, other, rtol=0, atol=roundings * ROUNDING * np.max(np.abs(one)))
     assert not lines.missed

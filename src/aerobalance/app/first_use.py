@@ -7,8 +7,8 @@ import numpy as np
 from aerobalance.app.monitor.engine import warm_up
 from aerobalance.balance.inversion import inverted
 from aerobalance.dynamics._kernels import first_order
+from aerobalance.estimation.checks._kernels import ForceLines, likeliest_levels
 from aerobalance.estimation.force import estimate_force
-from aerobalance.estimation.spectra._kernels import ForceLines, likeliest_levels
 from aerobalance.simulation.cable_cut import CableCut
 
 

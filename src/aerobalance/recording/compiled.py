@@ -32,6 +32,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 SOURCES: Final = (
     "balance/_term_kernels.py",
     "dynamics/_kernels.py",
+    "estimation/checks/_kernels.py",
     "estimation/live/_live_kernels.py",
     "estimation/spectra/_kernels.py",
     "estimation/statespace/_kernels.py",

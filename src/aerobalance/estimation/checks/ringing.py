@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 from aerobalance.dynamics.condensation import partial_fractions
 from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.driven_modes import values_and_rates
+from aerobalance.estimation.checks._kernels import ForceLines, likeliest_levels
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.result import ComponentForce
-from aerobalance.estimation.spectra._kernels import ForceLines, likeliest_levels
 from aerobalance.estimation.spectra.periodogram import HANN_BANDWIDTH, HANN_WIDTH, LOBES, Periodogram
 from aerobalance.recording.channel import Array
 from aerobalance.recording.fourier import hann

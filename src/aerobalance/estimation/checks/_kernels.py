@@ -1,0 +1,272 @@
+"""Compiled loops of the likelihood of spectral lines of forces: nothing is checked."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerobalance.estimation.spectra._kernels import solve_by_root
+from aerobalance.recording.compiled import compiled
+
+Complexes = NDArray[np.complex128]
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+
+
+class ForceLines(NamedTuple):
+    """Spectral lines of n forces at m ordinates, and how noise of the channels comes into them.
+
+    Attributes
+    ----------
+    lines
+        The lines, shape (n, m).
+    rows
+        What each force takes of every channel at the ordinates, shape (m, n, n).
+    noise
+        Density of each channel's noise, shape (n,).
+    gain
+        Density of a line over that of its force, shape (n, m).
+    told
+        Which ordinates count, shape (m,).
+    share
+        Share of a line's density that is noise, from which on its correlation with others counts.
+    """
+
+    lines: Complexes
+    rows: Complexes
+    noise: Floats
+    gain: Floats
+    told: Flags
+    share: float
+
+
+class Scoring(NamedTuple):
+    """Room for what scoring the levels of n forces needs.
+
+    Attributes
+    ----------
+    slope, ratio
+        Slopes of a log-likelihood by the levels, and the factors that expectation and maximization give, shape (n,).
+    information
+        Lower half of the information that is expected, shape (n, n).
+    density
+        Densities of the lines at an ordinate, shape (n,).
+    noisy
+        Lines at an ordinate whose noise counts, shape (n,).
+    white
+        These lines, whitened by the root of their covariance, shape (n,).
+    root, inverse
+        That root and its inverse, lower halves of shape (n, n).
+    """
+
+    slope: Floats
+    ratio: Floats
+    information: Floats
+    density: Floats
+    noisy: Integers
+    white: Complexes
+    root: Complexes
+    inverse: Complexes
+
+
+@compiled(inner=True)
+def score_levels(level: Floats, forces: ForceLines, first: int, last: int, common: Complexes, room: Scoring) -> float:
+    """Return the log-likelihood of lines at some ordinates, and write what scoring needs.
+
+    Parameters
+    ----------
+    level
+        Density of each force, shape (n,).
+    forces
+        The lines.
+    first, last
+        The ordinates are those from the first up to the last, without that.
+    common
+        Lower half of the covariance of the noise in the lines at these, shape (last - first, n, n).
+    room
+        What is written.
+    """
+    count = level.size
+    slope, ratio, information, density = room.slope, room.ratio, room.information, room.density
+    noisy, white, root, inverse = room.noisy, room.white, room.root, room.inverse
+    found = 0.0
+    for i in range(count):
+        slope[i] = ratio[i] = 0.0
+        for j in range(count):
+            information[i, j] = 0.0
+    for place in range(first, last):
+        if not forces.told[place]:
+            continue
+        size = 0
+        for i in range(count):
+            own, line, gain = common[place - first, i, i].real, forces.lines[i, place], forces.gain[i, place]
+            density[i] = level[i] * gain + own
+            if own > forces.share * density[i]:
+                noisy[size] = i
+                size += 1
+                continue
+            power, gain = (line.real**2 + line.imag**2) / density[i], gain / density[i]
+            found -= np.log(density[i]) + power
+            slope[i] += gain * power
+            ratio[i] += gain
+            information[i, i] += gain * gain
+        for a in range(size):  # the root of the covariance of all whose noise counts
+            for b in range(a + 1):
+                left = common[place - first, noisy[a], noisy[b]] if b < a else complex(density[noisy[a]])
+                for c in range(b):
+                    left -= root[a, c] * np.conj(root[b, c])
+                if b < a:
+                    root[a, b] = left / root[b, b].real
+                else:  # noise of one channel alone in two lines makes them one, but for rounding
+                    rest = max(left.real, 1e-12 * density[noisy[a]])
+                    root[a, a] = np.sqrt(rest)
+                    found -= np.log(rest)
+            line = forces.lines[noisy[a], place]
+            for c in range(a):
+                line -= root[a, c] * white[c]
+            white[a] = line / root[a, a].real
+            found -= white[a].real ** 2 + white[a].imag ** 2
+            inverse[a, a] = 1 / root[a, a].real
+            for b in range(a):
+                left = 0j
+                for c in range(b, a):
+                    left -= root[a, c] * inverse[c, b]
+                inverse[a, b] = left * inverse[a, a].real
+        for b in range(size):
+            i = noisy[b]
+            gain, line = forces.gain[i, place], 0j
+            for a in range(b, size):
+                line += np.conj(inverse[a, b]) * white[a]
+            slope[i] += gain * (line.real**2 + line.imag**2)
+            for c in range(b + 1):
+                left = 0j
+                for a in range(b, size):
+                    left += np.conj(inverse[a, b]) * inverse[a, c]
+                j = noisy[c]
+                information[i, j] += gain * forces.gain[j, place] * (left.real**2 + left.imag**2)
+                if b == c:
+                    ratio[i] += gain * left.real
+    for i in range(count):
+        up, down = slope[i], ratio[i]
+        slope[i], ratio[i] = up - down, up / down if down > 0 else 1.0
+    return found
+
+
+@compiled(inner=True)
+def move_levels(
+    level: Floats, slope: Floats, information: Floats, free: Integers, table: Floats, step: Floats
+) -> None:
+    """Move levels by a step of scoring; those that it would make negative become zero, and the others go on.
+
+    Parameters
+    ----------
+    level
+        The levels, which are moved, shape (n,).
+    slope, information
+        As `score_levels` writes them, shapes (n,) and (n, n).
+    free, table, step
+        Room, shapes (n,), (n, n) and (n,).
+    """
+    size = 0
+    for i in range(level.size):
+        if level[i] > 0 or slope[i] > 0:
+            free[size] = i
+            size += 1
+    while size:
+        for a in range(size):
+            step[a] = slope[free[a]]
+            for b in range(a + 1):
+                table[a, b] = information[free[a], free[b]]
+            table[a, a] *= 1.0 + 1e-9
+        solve_by_root(table, size, step)
+        left_over = 0
+        for a in range(size):
+            if level[free[a]] + step[a] <= 0:
+                level[free[a]] = 0.0
+            else:
+                free[left_over], step[left_over] = free[a], step[a]
+                left_over += 1
+        if left_over == size:
+            for a in range(size):
+                level[free[a]] += step[a]
+            return
+        size = left_over
+
+
+@compiled(nogil=True, error_model="numpy")
+def likeliest_levels(forces: ForceLines, bands: Integers, steps: int, enough: float, found: Floats) -> None:
+    """Write the log-likelihood of lines in every band, the densities of all forces there at their likeliest.
+
+    Scoring begins with all that a band has, noise as well: a level that begins at nothing hardly comes up from there.
+    Where a step of it makes the lines less likely, one of expectation and maximization is taken.
+
+    Parameters
+    ----------
+    forces
+        The lines.
+    bands
+        First ordinate of every band, shape (b,).
+    steps
+        Steps at most.
+    enough
+        Gain in log-likelihood of a step from which on no more are taken.
+    found
+        The log-likelihoods, shape (b,).
+    """
+    count, ordinates = forces.lines.shape
+    room = Scoring(
+        np.empty(count),
+        np.empty(count),
+        np.empty((count, count)),
+        np.empty(count),
+        np.empty(count, np.int64),
+        np.empty(count, np.complex128),
+        np.empty((count, count), np.complex128),
+        np.empty((count, count), np.complex128),
+    )
+    level, best, ratio = np.empty(count), np.empty(count), np.empty(count)
+    free, table, step = np.empty(count, np.int64), np.empty((count, count)), np.empty(count)
+    for band in range(bands.size):
+        first, last = bands[band], bands[band + 1] if band + 1 < bands.size else ordinates
+        common = np.empty((last - first, count, count), np.complex128)
+        level[:] = 0.0
+        told = 0
+        for place in range(first, last):
+            if not forces.told[place]:
+                continue
+            told += 1
+            for i in range(count):
+                line = forces.lines[i, place]
+                level[i] += (line.real**2 + line.imag**2) / forces.gain[i, place]
+                for j in range(i + 1):
+                    both = 0j
+                    for k in range(count):
+                        both += forces.rows[place, i, k] * forces.noise[k] * np.conj(forces.rows[place, j, k])
+                    common[place - first, i, j] = both
+        found[band] = 0.0
+        if not told:
+            continue
+        level /= told
+        most = -np.inf
+        for taken in range(steps):
+            now = score_levels(level, forces, first, last, common, room)
+            if taken and not now > most:
+                for i in range(count):
+                    level[i] = best[i] * ratio[i]
+                    ratio[i] = np.sqrt(ratio[i])
+                continue
+            gained = now - most
+            most = now
+            for i in range(count):
+                best[i], ratio[i] = level[i], room.ratio[i]
+            if gained < enough:
+                break
+            if taken:
+                move_levels(level, room.slope, room.information, free, table, step)
+            else:
+                for i in range(count):
+                    level[i] *= ratio[i]
+        found[band] = most
