@@ -143,10 +143,13 @@ def load_gain_left(low_pass: AntiAlias, frequency: Array) -> Array:
 
 
 def late_samples(low_pass: AntiAlias, rate: float) -> int:
-    """Samples at the end of a load whose filter has been undone that hang on readings which come after the record."""
+    """Samples at the end of a load whose filter has been undone that hang on readings which come after the record.
+
+    The response of a low-pass to a short blow lies about its delay, and has come after twice that.
+    """
     slow = low_pass.corner / 100
     late = -float(np.angle(low_pass.response(slow))) / (2 * np.pi * slow)
-    return int(np.ceil(late * rate))
+    return int(np.ceil(2 * late * rate))
 
 
 def filtered(values: Array, gain: Transfer, *, rate: float, level_over: int = 1) -> Array:
