@@ -285,14 +285,14 @@ def test_contraction_in_closed_form() -> None:
 def test_sensitivity_beside_differences(way: str, rng) -> None:
     matrix = replace(random_balance(int(rng.integers(2**31))), way=way)
     loads = rng.uniform(0.1, 1, (3, 6)) * CAPACITIES
-    outputs, step = matrix.outputs(loads), 1e-5
+    outputs, step = matrix.outputs(loads), 1e-3
     for k in range(6):
         shift = step * np.eye(6)[k] * matrix.output_scale
         change = (matrix.loads(outputs + shift).loads - matrix.loads(outputs - shift).loads) / (2 * shift[k])
         expected = matrix.sensitivity(loads)[:, :, k]
         scale = CAPACITIES / matrix.output_scale[k]
-        # the last step of the solution is 1e-12, over 2e-5
-        np.testing.assert_allclose(change / scale, expected / scale, rtol=0, atol=1e-6)
+        # the loads are found to 1e-10 (4e-11 in 4000 draws), over 1e-3; the third derivative makes 1e-8
+        np.testing.assert_allclose(change / scale, expected / scale, rtol=0, atol=2e-7)
 
 
 def test_output_of_many_samples_is_that_of_few(monkeypatch: pytest.MonkeyPatch, rng) -> None:

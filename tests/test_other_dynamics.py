@@ -532,6 +532,7 @@ def test_what_a_record_leaves_open_counts_by_its_probability(probability, monkey
     np.testing.assert_array_equal(after.only.values, before.values)
 
 
+@pytest.mark.filterwarnings("ignore:.*the noise of AF may rise at low frequency")  # of one in 300
 def test_the_right_resonance_is_left_alone_and_leaves_little_open(seed):
     forces = []
     for one in range(trials(2, 60)):

@@ -81,13 +81,16 @@ def test_one_component_as_the_documentation_shows_it(rng):
     spring = ab.Dynamics("AF", mass=177.87, stiffness=3.093e7, damping=828.21)
     truth = 200 * np.sin(2 * np.pi * 20 * t)
     weight = 177.87 * 9.80665 * np.sin(np.radians(pitch))
-    load = spring.balance_load(truth + weight, interval=1 / rate) + rng.normal(0, 2.0, count)
+    # `balance_load` takes the force for straight between samples, which takes 0.1 N off such a sine
+    swings = 200 * np.imag(spring.response(np.array([20.0])) * np.exp(2j * np.pi * 20 * t))
+    load = swings + spring.balance_load(weight, interval=1 / rate) + rng.normal(0, 2.0, count)
     run = ab.Recording.from_arrays(t, {"AF": load, "pitch": pitch}, units={"pitch": "deg"})
     force = ab.estimate_force(run, spring)
     inner = slice(200, -200)
     off = (force["AF"].values - truth)[inner]
     u = force["AF"].uncertainty[inner]
-    assert 0.5 < np.sqrt(np.mean(off**2)) / np.sqrt(np.mean(u**2)) < 2  # what is asked of a force beside its u
+    assert np.sqrt(np.mean(off**2)) < 2 * np.sqrt(np.mean(u**2))  # what is asked of a force beside its u
+    assert np.sqrt(np.mean(u**2)) < 0.5  # a quarter of the noise: much of it is force that may be below detection
     frame = force.to_dataframe()
     assert list(frame.columns) == ["AF", "u_AF"]
     data = force.to_xarray()
