@@ -586,7 +586,7 @@ def test_bridges_go_by_other_usual_names(balance: BalanceMatrix) -> None:
 
 
 def test_outputs_far_outside_say_so(balance: BalanceMatrix) -> None:
-    wild = recorded(np.full((40, 6), 1e9))
+    wild = recorded(np.full((40, 6), 30 * balance.output_scale))
     with (
         pytest.raises(FitError, match="no sample gives loads")
         if _unsolvable(balance)
@@ -596,7 +596,36 @@ def test_outputs_far_outside_say_so(balance: BalanceMatrix) -> None:
 
 
 def _unsolvable(balance: BalanceMatrix) -> bool:
-    return bool((balance.loads(np.full((1, 6), 1e9)).steps == 0).all())
+    return bool((balance.loads(30 * balance.output_scale[None, :]).steps == 0).all())
+
+
+def test_outputs_in_another_unit_are_refused_and_named(balance: BalanceMatrix, rng) -> None:
+    """uV/V are a thousand times mV/V, of all bridges or of one; what fails on the way is no matter of units."""
+    outputs = balance.outputs(swinging(500, rng))
+    with pytest.raises(FitError, match="so do 5 bridges more: readings or zero are in another unit"):
+        loads_of_outputs(recorded(1e3 * outputs), balance, zero=NONE)
+    one, late = outputs.copy(), outputs.copy()
+    one[:, 4] *= 1e3
+    with pytest.raises(FitError, match=r"rRM reads .* such as uV/V as mV/V, or the bridge is open; check the unit"):
+        loads_of_outputs(recorded(one), balance, zero=NONE)
+    late[300:, 4] = 1e3
+    late = recorded(late)
+    for failed_on_the_way in (late, late.part(250, 500)):
+        with pytest.warns(DataQualityWarning):
+            found = loads_of_outputs(failed_on_the_way, balance, zero=NONE)
+        assert np.isfinite(found.values[:50]).all()
+
+
+def test_outputs_that_are_next_to_nothing_are_doubted(balance: BalanceMatrix, rng) -> None:
+    """V/V are a thousandth of mV/V; noise, and zeros of bridges that were set to nothing, are as small."""
+    outputs = balance.outputs(swinging(500, rng))
+    noise = 1e-7 * rng.normal(size=outputs.shape)
+    with pytest.warns(DataQualityWarning, match="such as V/V as mV/V"):
+        told = loads_of_outputs(recorded(1e-3 * outputs + noise), balance, zero=NONE).doubts
+    assert {doubt.component for doubt in told if doubt.kind == "units"} == set(COMPONENTS)
+    for sound in (noise, outputs, 1e-2 * outputs):
+        told = loads_of_outputs(recorded(sound), balance, zero=NONE).doubts
+        assert not [doubt for doubt in told if doubt.kind == "units"]
 
 
 def test_a_recording_with_loads_keeps_its_other_channels(balance: BalanceMatrix) -> None:

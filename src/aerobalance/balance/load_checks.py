@@ -1,4 +1,4 @@
-"""What loads from gauge outputs are warned of: range, iteration, averaged points, zeros, bridges that read nothing."""
+"""What loads from gauge outputs are warned of: units, range, iteration, averaged points, zeros, dead bridges."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from aerobalance.balance.zeros import MOVED_IN_RANGE, GaugeZero
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.doubts import Doubt
-from aerobalance.recording.errors import warn_quality
+from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.noise import white_noise
 from aerobalance.recording.recording import Recording
 
@@ -40,6 +40,13 @@ class LoadSettings:
         just that off to the noise is none.
     fewest
         Readings from which on bridges are asked.
+    no_bridge
+        Output over that at the largest load calibrated, which none reaches in half of the readings: uV/V are a
+        thousand times mV/V, and the zero of a bridge is within its range.
+    no_load
+        The same (rms) which none leaves, where V/V may have been taken for mV/V: zeros of a balance repeat no better.
+    shows_more
+        Scatter of readings over their white noise from which on they show more than that.
     """
 
     beyond: float = 0.02
@@ -49,6 +56,9 @@ class LoadSettings:
     only_noise: float = 1.2
     by_others: float = 3.0
     fewest: int = 256
+    no_bridge: float = 50.0
+    no_load: float = 1e-3
+    shows_more: float = 10.0
 
 
 ROWS_AT_ONCE: Final = 64
@@ -129,6 +139,87 @@ def check_iteration(recording: Recording, balance: BalanceMatrix, native: Array)
             f"error only by {factor:.2g} a step (at 1 it diverges and loads are not unique); check zeros and units"
         )
     return factor
+
+
+UNITS_ADVICE: Final = (
+    "check the unit of the gauge outputs in the header of the file or in the channel map (mV/V, uV/V, V/V; voltages "
+    "with their excitation), and that of the readings of the calibration"
+)
+"""What to do about outputs that are too large or too small by a large factor."""
+
+
+def _largest_outputs(balance: BalanceMatrix) -> Array:
+    """Outputs at the largest loads calibrated, or at capacity, the larger ones, shape (c,) [mV/V]."""
+    reached = np.max(np.abs(balance.calibrated), axis=0) / balance.load_scale
+    return np.asarray(balance.output_scale * np.maximum(reached, 1.0))
+
+
+def check_size(recording: Recording, balance: BalanceMatrix, outputs: Array) -> None:
+    """Refuse outputs that no bridge of the balance has, which take minutes to find loads for, and find none.
+
+    Parameters
+    ----------
+    recording
+        The run, or its first part: what comes later may be a failure on the way.
+    balance
+        The matrix.
+    outputs
+        Less their zero, shape (n, c) [mV/V]; NaN where missing.
+
+    Raises
+    ------
+    FitError
+        Half of the readings of a bridge are larger than any.
+    """
+    if recording.extent.begin > 0 or not outputs.size:
+        return
+    largest = _largest_outputs(balance)
+    size, known = np.abs(outputs), np.isfinite(outputs)
+    beyond = np.count_nonzero(size > SETTINGS.no_bridge * largest, axis=0)
+    wrong = np.flatnonzero(2 * beyond > known.sum(axis=0))
+    if not wrong.size:
+        return
+    over = np.nanmedian(size, axis=0) / largest
+    worst = int(wrong[np.argmax(over[wrong])])
+    others = f", and so do {wrong.size - 1} bridges more" if wrong.size > 1 else ""
+    raise FitError(
+        f"{recording.name}: r{balance.gauges[worst]} reads {over[worst] * largest[worst]:.3g} mV/V from its zero in "
+        f"the middle of its readings, {over[worst]:.3g} times what it does at the largest load of the calibration, "
+        f"which no bridge can{others}: readings or zero are in another unit than was read, such as uV/V as mV/V"
+        f"{'' if others else ', or the bridge is open'}; {UNITS_ADVICE}"
+    )
+
+
+def doubts_of_size(readings: Array, balance: BalanceMatrix, components: Sequence[str]) -> Iterator[Doubt]:
+    """Return doubts about outputs that move, yet are all next to nothing, one for every component.
+
+    Parameters
+    ----------
+    readings
+        Gauge outputs as they were read, their zeros in them, shape (n, c) [mV/V]; NaN where missing.
+    balance
+        The matrix.
+    components
+        Components of the loads.
+    """
+    known = readings[np.isfinite(readings).all(axis=1)]
+    if len(known) < SETTINGS.fewest:
+        return
+    share = float(np.max(np.sqrt(np.mean(known**2, axis=0)) / _largest_outputs(balance)))
+    # noise and zeros of bridges that were set to nothing are as small
+    if not 0 < share < SETTINGS.no_load:
+        return
+    scatter = known.std(axis=0)
+    if not any(own > SETTINGS.shows_more * white_noise(column) for own, column in zip(scatter, known.T, strict=True)):
+        return
+    text = (
+        f"all bridges read {100 * share:.2g} % of their outputs at the largest loads of the calibration (rms), or "
+        "less: zeros repeat no better; or the outputs are in another unit than was read, such as V/V as mV/V, and the "
+        "loads a thousand times too small"
+    )
+    for component in components:
+        unit = si_unit(component) if component in COMPONENTS else "N"
+        yield Doubt("units", component, text, UNITS_ADVICE, None, unit)
 
 
 def check_rows(recording: Recording, balance: BalanceMatrix, channels: Sequence[Channel], noise: Array) -> None:

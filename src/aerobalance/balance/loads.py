@@ -19,7 +19,9 @@ from aerobalance.balance.load_checks import (
     check_iteration,
     check_range,
     check_rows,
+    check_size,
     doubts_of_bridges,
+    doubts_of_size,
     doubts_of_zero,
 )
 from aerobalance.balance.load_formats import FORM_MOMENTS, FORMS, Form, between_forms
@@ -266,7 +268,8 @@ def loads_of_outputs(
     Raises
     ------
     FitError
-        A bridge was not recorded, or no sample of a whole record has a load: those of a part of one may lie in a gap.
+        A bridge was not recorded, or reads what none can; or no sample of a whole record has a load: those of a part
+        of one may lie in a gap.
     ValueError
         The zero does not say whether the model hung on the balance while it was read.
 
@@ -285,6 +288,7 @@ def loads_of_outputs(
     outputs, of_temperature = at_reference_temperature(
         table - zero.values - zero.drift * progress, recording, balance, since_calibration=since_calibration
     )
+    check_size(recording, balance, outputs)
     solution = balance.loads(outputs)
     known = np.isfinite(solution.loads).all(axis=1)
     whole = bool(known.all())
@@ -344,6 +348,7 @@ def loads_of_outputs(
         ready=tare is None and (zero.model_on is False or bool(zero.weight.any())),
         doubts=(
             *doubts_of_zero(zero, components, slope),
+            *doubts_of_size(table, balance, components),
             *doubts_of_bridges(outputs, native, balance, components, sensitivity=middle),
         ),
     )
