@@ -164,14 +164,17 @@ def shape_doubts(
     names = dynamics.components
     within, most = _between_gaps(record), most_samples(record)
     readings = {name: one.reading() for name, one in record.component_records(filled).items()}
-    other, first = _spoken(record, loads, parts, readings, within=within), 0
+    ringing = RingingSpectra.of(record, loads[within], parts)
+    other, first = _spoken(ringing, record, loads, parts, readings, within=within), 0
     # the balance may have changed on the way; of a part before others the next one's beginning tells
     if other is None and within.stop - within.start > most and record.recording.extent.end > 1 - SETTINGS.end:
-        other = _spoken(record, loads, parts, readings, within=slice(within.stop - most, within.stop))
+        end = slice(within.stop - most, within.stop)
+        of_end = RingingSpectra.of(record, loads[end], parts)
+        other = _spoken(of_end, record, loads, parts, readings, within=end)
         first = min(within.start + most, within.stop - most)
-    bandwidth = np.array([parts[name].bandwidth for name in names])
     if other is None:
-        return _frequencies_assumed(record, loads, parts, bandwidth=bandwidth, within=within)
+        return _frequencies_assumed(ringing, record, parts)
+    bandwidth = np.array([parts[name].bandwidth for name in names])
     errors = np.sqrt(other.probability) * force_errors(record, loads, other.rows, bandwidth)
     errors[:first] = 0.0
     name_of_error = f"{DOUBTED}{other.kind}" if other.probability == 1 else LEFT_OPEN
@@ -218,37 +221,31 @@ def _by_others(forces: Array, own: CoupledDynamics, other: CoupledDynamics, *, i
 
 
 def _frequencies_assumed(
-    record: CoupledRecord, loads: Array, parts: Mapping[str, ComponentForce], *, bandwidth: Array, within: slice
+    ringing: RingingSpectra | None, record: CoupledRecord, parts: Mapping[str, ComponentForce]
 ) -> dict[str, ComponentForce]:
     """The forces that other natural frequencies would change, with that assumed; none where the record tells them.
 
     Parameters
     ----------
-    record, loads, parts
-        As of `shape_doubts`, the loads less what the ground's motion has put on them, shape (samples, n).
-    bandwidth
-        Frequencies up to which the forces are resolved [Hz], shape (n,).
-    within
-        Samples whose ringing is asked.
+    ringing
+        The spectra of the samples that are asked; None where they are too few.
+    record, parts
+        As of `shape_doubts`.
     """
     dynamics, own = record.dynamics, Moved.none(record.dynamics)
     if dynamics.internal or len(dynamics.modes) != len(dynamics.components):
         return {}
     others = [own.by(slice(None), np.array([sign * ASSUMED.frequency, 0.0])) for sign in (1, -1)]
-    rows = [one.rows for one in others]
-    # at most: what noise has of it the smoother leaves out
-    size = np.sqrt(np.mean(force_errors(record, loads, rows[0], bandwidth) ** 2, axis=0))
+    forces = np.column_stack([parts[name].values for name in dynamics.components])
+    size = _by_others(forces, dynamics, others[0].moved, interval=record.interval)
     least = [ASSUMED.matters * float(np.sqrt(np.mean(parts[name].uncertainty ** 2))) for name in dynamics.components]
     if not (size > least).any():
         return {}
-    ringing = RingingSpectra.of(record, loads[within], parts)
     if ringing is not None:
         # by the curvature: which side is the likelier is chance where the record tells little
-        lost = ringing.joint_evidence(ringing.own) - 0.5 * sum(ringing.joint_evidence(one) for one in rows)
+        lost = ringing.joint_evidence(ringing.own) - 0.5 * sum(ringing.joint_evidence(one.rows) for one in others)
         if lost > SETTINGS.tells:
             return {}
-    forces = np.column_stack([parts[name].values for name in dynamics.components])
-    size = _by_others(forces, dynamics, others[0].moved, interval=record.interval)
     found = {}
     for name, effect, enough in zip(dynamics.components, size.tolist(), (size > least).tolist(), strict=True):
         if enough:
@@ -280,6 +277,7 @@ def _between_gaps(record: CoupledRecord) -> slice:
 
 
 def _spoken(
+    ringing: RingingSpectra | None,
     record: CoupledRecord,
     loads: Array,
     parts: Mapping[str, ComponentForce],
@@ -289,9 +287,8 @@ def _spoken(
 ) -> OtherShapes | None:
     """What the ringing of some samples of the loads speaks for, where they are enough to say so.
 
-    `readings` are those of the decoupled components.
+    `ringing` are the spectra of those samples, `readings` those of the decoupled components.
     """
-    ringing = RingingSpectra.of(record, loads[within], parts)
     if ringing is None:
         return None
     other = other_shapes(ringing, record.dynamics)
