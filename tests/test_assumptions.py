@@ -13,15 +13,17 @@ import pytest
 import aerobalance as ab
 from aerobalance.app.cli.program import main
 from aerobalance.app.commands.uncertainty import force_text
+from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.io import write_recording
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.analog_filter import AntiAlias
 from aerobalance.recording.channel import Channel
-from aerobalance.recording.components import STANDARD_GRAVITY
+from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.recording.doubts import Assumption
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
+from aerobalance.simulation.six_balance import random_balance
 from faults.cases import Case, all_cases, dynamics
 from faults.trials import recording_of, worked_out
 from helpers.cable_cut import T128
@@ -137,6 +139,49 @@ def test_zero_of_the_pitch_and_the_mass_change_the_force_by_as_much(angle):
         replace(run, channels={**run.channels, "pitch": stated}), replace(own, covariance=np.diag([1.0, 0, 0, 0]))
     )
     assert not {"pitch zero", "mass"} & set(effects(told))
+
+
+def test_gain_and_mass_of_coupled_components_change_the_forces_by_as_much(rng):
+    """1 % of all gauge outputs, and of the mass, of a balance whose model is swept in pitch under a slow load."""
+    balance = random_balance(rng)
+    own = balance.dynamics
+    time = np.arange(4000) / 1600
+    pitch, roll = 0.3 + 0.05 * np.sin(2 * np.pi * 0.5 * time), np.zeros(time.size)
+    weight = np.column_stack(
+        [own.weight(name, pitch=pitch, roll=roll, gravity=STANDARD_GRAVITY) for name in COMPONENTS]
+    )
+    applied = 0.2 * balance.half_range * np.sin(2 * np.pi * 0.4 * time)[:, None]
+    loads = weight + applied  # slow: the balance follows
+    noise = 1e-4 * balance.matrix.output_scale * rng.normal(size=loads.shape)
+    matrix = replace(balance.matrix, natural_zero=None)
+    outputs = balance.outputs(loads) - balance.outputs(np.zeros((1, 6))) + noise
+    nothing = ab.Zero((), model_on=False)
+
+    def force(outputs: np.ndarray, used: CoupledDynamics, gain: float = 0.0) -> Force:
+        channels = {
+            f"r{name}": Channel(f"r{name}", one, "mV/V", relative_uncertainty=gain)
+            for name, one in zip(matrix.gauges, outputs.T, strict=True)
+        }
+        run = ab.Recording.from_columns(time, {**channels, "pitch": Channel("pitch", pitch, "rad")}, name="run")
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DataQualityWarning)
+            return ab.estimate_force(run, used, balance=matrix, zero=nothing)
+
+    found, mass = force(outputs, own), own.mass
+    told = {(one.kind, one.component): one.effect for one in found.assumed}
+    heavier = replace(own, mass=replace(mass, mass=1.01 * mass.mass, inertia=1.01 * mass.inertia))
+    for kind, other in (("gain", force(1.01 * outputs, own)), ("mass", force(outputs, heavier))):
+        changes = {name: np.sqrt(np.mean((other[name].values - found[name].values) ** 2)) for name in COMPONENTS}
+        named = {name: effect for (one, name), effect in told.items() if one == kind}
+        assert "AF" in named
+        for name, effect in named.items():
+            # interactions of second order are some percent of a load
+            assert effect == pytest.approx(changes[name], rel=0.1), (kind, name)
+    # what is stated is in the uncertainty instead
+    covariance = np.zeros((10, 10))
+    covariance[0, 0] = (0.01 * mass.mass) ** 2
+    stated = force(outputs, replace(own, mass=replace(mass, covariance=covariance)), gain=0.01)
+    assert not {"gain", "mass"} & {one.kind for one in stated.assumed}
 
 
 def record_of(time: np.ndarray, columns: dict[str, tuple[np.ndarray, str]]) -> ab.Recording:

@@ -441,9 +441,9 @@ def static_uncertainty(felt: Loads, *, forces: Mapping[str, Array]) -> dict[str,
 
 def _with_loads(recording: Recording, felt: Loads) -> Recording:
     """The recording, balance loads in the place of its gauge outputs."""
-    channels = {name: channel for name, channel in recording.channels.items() if not is_gauge(name)}
-    channels.pop("excitation", None)
     gauges = {name for name in recording.channels if is_gauge(name)}
+    supply = {"excitation"} & set(recording.channels)
+    channels = {name: channel for name, channel in recording.channels.items() if name not in gauges | supply}
     # loads whose zero has changed are in the recording already
     delay = delay_of_outputs(recording) if gauges else recording.channel(felt.components[0]).delay
     for index, (name, unit) in enumerate(zip(felt.components, felt.units, strict=True)):
@@ -455,6 +455,7 @@ def _with_loads(recording: Recording, felt: Loads) -> Recording:
     lowest = min(own, key=lambda one: one.corner, default=None)
     low_passed = dict.fromkeys(felt.components, lowest) if lowest is not None else recording.low_passed
     half = np.abs(felt.transform) @ (np.ptp(np.array(felt.balance.calibrated), axis=0) / 2)
+    stated = any(recording.channels[name].relative_uncertainty > 0 for name in (*gauges, *supply))
     once = not felt.zero.drift.any()  # no zero was read after the run
     repeats = dict(zip(felt.components, (REPEATS * half).tolist(), strict=True)) if once else {}
     return replace(
@@ -463,6 +464,7 @@ def _with_loads(recording: Recording, felt: Loads) -> Recording:
         low_passed=low_passed,
         gravity_on_zero=felt.zero.pull,
         from_outputs=True,
+        gains_stated=recording.gains_stated or stated,
         declared=declared,
         zero_from_natural={name: one.load for name, one in felt.zero.from_natural.items() if one.of_range > REPEATS},
         zero_repeats=repeats,

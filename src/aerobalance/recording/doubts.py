@@ -19,7 +19,10 @@ KINDS: Final[Mapping[str, str]] = {
     "ground gain": "the load shows another size of the ground's motion than its sensor",
     "attitude delay": "the inclinometer is late or early against the load",
     "attitude gain": "the load shows another size of the weight's change than the inclinometer",
-    "units": "loads are far larger than those that the dynamics were identified with, or than the weight lets them be",
+    "units": (
+        "loads are far larger than those that the dynamics were identified with, or than the weight lets them be, or "
+        "all bridges read next to nothing"
+    ),
     "attitude range": "an angle is larger than pitch and roll can be",
     "turning": "the ground turns faster than the angles show",
     "wild samples": "single samples are far from their neighbours",

@@ -50,6 +50,9 @@ class Recording:
         Gravity on the mass whose weight was added to loads that count from a zero read under it.
     from_outputs
         Whether the loads were worked out from gauge outputs, by a matrix whose errors the recording does not hold.
+    gains_stated
+        Whether gains of the gauge outputs that the loads were worked out from state an uncertainty, which the loads
+        have in theirs.
     zero_from_natural
         How far the zero that the loads count from lies from the natural zeros of the balance's calibration, beyond
         the weight, by component [N, N*m]; empty where that is not known.
@@ -77,6 +80,7 @@ class Recording:
     time_unit: str = "s"
     gravity_on_zero: GravityOnZero = field(default_factory=GravityOnZero)
     from_outputs: bool = False
+    gains_stated: bool = False
     zero_from_natural: Mapping[str, float] = field(default_factory=dict)
     zero_repeats: Mapping[str, float] = field(default_factory=dict)
     extent: Extent = field(default_factory=Extent)

@@ -18,6 +18,7 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.colored_noise import noise_assumed
 from aerobalance.estimation.checks.mains_hum import hum_assumed
 from aerobalance.estimation.checks.model_error import error_under
+from aerobalance.estimation.decoupled_record import DecoupledRecord
 from aerobalance.estimation.force_smoother import SmootherResult, instant_columns
 from aerobalance.estimation.independent_record import SingleRecord, moves_along_axis
 from aerobalance.estimation.prior import Observation, generalised_least_squares
@@ -25,7 +26,7 @@ from aerobalance.estimation.record import ComponentRecord, Through
 from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.steps import response_to, shape_of
 from aerobalance.motion.platform import SystematicParameter, driven_column
-from aerobalance.recording.channel import Array
+from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import STANDARD_GRAVITY, si_unit
 from aerobalance.recording.doubts import Assumption
 from aerobalance.recording.errors import FitError, argument
@@ -55,8 +56,8 @@ class AssumptionSettings:
     drift
         Change of the zero of a load from the beginning of a record to its end, over the largest load [1].
     matters
-        Effect of an angle's zero, a drift, or a natural frequency, over the scatter of the force, from which it is
-        told.
+        Effect of an angle's zero, a drift, a natural frequency, or gain and mass of coupled components, over the
+        scatter of the force, from which it is told.
     told
         Its standard uncertainty by the record, over that, up to which the record tells it.
     first
@@ -134,6 +135,8 @@ def assumptions_of(
         if record.noise is None and hum == "mains" and not fit.reading.hum:
             yield from hum_assumed(fit.reading, fit.learned, unit=unit)
         yield from _of_single(record, fit, unit)
+    elif isinstance(record, DecoupledRecord):
+        yield from _of_decoupled(record, fit.force, least=least)
     across = record.motion_across
     if across is not None:
         slope, channel = across
@@ -216,19 +219,50 @@ def _of_angles(record: ComponentRecord, unit: str, *, least: float) -> Iterator[
             yield _told(f"{angle} zero", name, text, effect, unit)
 
 
+def _of_gain(recording: Recording, channel: Channel, net: Array, *, least: float) -> Iterator[Assumption]:
+    """What is assumed of the gain of a load, or of those of all bridges; effects up to `least` are not told.
+
+    `net` is the force less what acts on the mass by motion and weight, since the zero of the load, shape (n,).
+    """
+    if channel.relative_uncertainty > 0 or recording.gains_stated:
+        return
+    effect = SETTINGS.gain * float(np.sqrt(np.mean(net**2)))
+    if effect > least:
+        whose = f"the gain of {channel.name} is"
+        if recording.from_outputs:
+            whose = "the gains of the bridges, their excitation and amplifiers, are those of the calibration and"
+        text = f"{whose} exact: {100 * SETTINGS.gain:g} % would change the force by {{}}"
+        yield _told("gain", channel.name, text, effect, si_unit(channel.name))
+
+
+def _of_mass(mass: float, acting: Array, name: str, *, least: float) -> Iterator[Assumption]:
+    """What is assumed of a mass that is taken for exact; effects up to `least` are not told.
+
+    `acting` is what it is taken to do against the force by motion and weight, since the zero of the load, shape (n,).
+    """
+    effect = SETTINGS.mass * float(np.sqrt(np.mean(acting**2)))
+    if effect > least:
+        text = f"the mass of {mass:.6g} kg is exact: {100 * SETTINGS.mass:g} % would change the force by {{}}"
+        yield _told("mass", name, text, effect, si_unit(name))
+
+
+def _of_decoupled(record: DecoupledRecord, force: Array, *, least: float) -> Iterator[Assumption]:
+    """What is assumed of the gains and of the mass of coupled components; effects up to `least` are not told."""
+    name, mass = record.dynamics.component, record.coupled.mass
+    acting = record.platform.specific_force + record.platform.gravity_on_zero
+    acting = acting @ record.coupled.mass_rows[record.decoupled.place]
+    yield from _of_gain(record.recording, record.channels[record.decoupled.place], force - acting, least=least)
+    if mass is not None and mass.covariance[0, 0] == 0:
+        yield from _of_mass(mass.mass, acting, name, least=least)
+
+
 def _of_single(record: SingleRecord, fit: SmootherResult, unit: str) -> Iterator[Assumption]:
     """What is assumed of the gain of a load and of the natural frequency."""
     name, own = record.dynamics.component, record.dynamics
-    channel = record.recording.channel(name)
-    if channel.relative_uncertainty == 0 and not record.recording.from_outputs:
-        net = fit.force + record.motion.force(own.mass)
-        text = f"the gain of {name} is exact: {100 * SETTINGS.gain:g} % would change the force by {{}}"
-        yield _told("gain", name, text, SETTINGS.gain * float(np.sqrt(np.mean(net**2))), unit)
-    acting = record.motion.specific_force + record.motion.gravity_on_zero
-    if own.uncertainty("mass") == 0 and acting.any():
-        effect = SETTINGS.mass * own.mass * float(np.sqrt(np.mean(acting**2)))
-        text = f"the mass of {own.mass:.6g} kg is exact: {100 * SETTINGS.mass:g} % would change the force by {{}}"
-        yield _told("mass", name, text, effect, unit)
+    acting = own.mass * (record.motion.specific_force + record.motion.gravity_on_zero)
+    yield from _of_gain(record.recording, record.recording.channel(name), fit.force - acting, least=0.0)
+    if own.uncertainty("mass") == 0:
+        yield from _of_mass(own.mass, acting, name, least=0.0)
     stated = own.uncertainty("natural_frequency") / own.natural_frequency
     if stated > SETTINGS.told * SETTINGS.frequency:
         return
