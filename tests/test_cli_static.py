@@ -410,6 +410,8 @@ def test_two_calibrations_are_compared(calibrated, capsys, truth, seed):
         (["loads", "run.csv", "--balance", "schedule.csv", "-o", "out.csv"], 2, "balance.json"),
         (["loads", "run.csv", "--balance", "bad.json", "-o", "out.csv"], 2, "matrix"),
         (["weigh", "run.csv", "--zero", "run.csv"], 2, "--balance"),
+        (["weigh", "run.csv", "--scales", "-3"], 2, "--scales must be a positive number, not -3"),
+        (["weigh", "run.csv", "--scales", "run.csv"], 2, "--scales must be a mass like 42.1"),
         (["force", "run.csv", "--dynamics", "x.json", "--tare", "run.csv", "-o", "out.csv"], 2, "--balance"),
     ],
 )

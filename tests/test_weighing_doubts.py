@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
+import aerobalance as ab
 from aerobalance.app.commands.weighing import weigh
 from aerobalance.balance.weighing import LoadPoints, Weighing, fit_weight
 from aerobalance.recording.components import STANDARD_GRAVITY
@@ -128,3 +129,31 @@ def test_the_command_tells_it(tmp_path, rng):
     assert doubt["unit"] == "kg"
     assert found["summary"].startswith(found["verdict"])
     assert any(doubt["text"] in text for text in found["warnings"])
+
+
+@pytest.mark.parametrize(
+    ("factor", "words"),
+    [(1 / 4.4482216, "between lbf and N"), (1 / 9.80665, "between kgf and N"), (1.3, None), (1.02, ""), (1.0, "")],
+)
+def test_a_mass_on_scales_shows_forces_in_another_unit(factor, words, rng):
+    """Loads and their noise are wrong by one factor, so is the mass; a live end of 2 % is none."""
+    points = LoadPoints(NAMES, np.tile(PITCH, 3), factor * loads(rng), ROLLED)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)
+        plain, found = ab.weigh(points), ab.weigh(points, scales=MASS)
+    assert not [doubt for doubt in plain.doubts if doubt.kind == "mass"]
+    told = {doubt.component: doubt for doubt in found.doubts if doubt.kind == "mass"}
+    if words == "":
+        assert not told
+        return
+    assert set(told) == set(NAMES)
+    assert (words or "on scales: all loads") in told["AF"].text
+    assert told["AF"].effect == pytest.approx(abs(factor - 1) * MASS, rel=0.01)  # u of the mass is 0.1 %
+    assert found.verdict is not Verdict.FIT
+
+
+@pytest.mark.parametrize("scales", [0.0, -1.0, np.inf, np.nan])
+def test_scales_read_a_mass(scales, rng):
+    points = LoadPoints(NAMES, np.tile(PITCH, 3), loads(rng), ROLLED)
+    with pytest.raises(ValueError, match="must be a positive and finite mass"):
+        ab.weigh(points, scales=scales)

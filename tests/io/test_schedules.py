@@ -575,6 +575,7 @@ def test_balfit_without_capacities_takes_the_largest_load(tmp_path):
     schedule = read_schedule(put(tmp_path, text))
     np.testing.assert_allclose(schedule.capacities, np.abs(balfit_numbers()[0] * FACTORS).max(axis=0), rtol=RTOL)
     assert sum("largest load" in note for note in schedule.assumptions) == 6
+    assert "lbf called N make all forces of a run 4.4 times too small" in schedule.assumptions[-1]
 
 
 def test_balfit_cut_off_uses_what_is_complete(tmp_path):

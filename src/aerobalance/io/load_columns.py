@@ -17,6 +17,13 @@ from aerobalance.recording.units import ALLOWED, Conversion, conversion
 Capacities = Mapping[str, tuple[float, str]]
 """Largest allowed load by component: value and unit."""
 
+UNITS_ASSUMED: Final = (
+    "the units of all loads are as the file says, which no capacity shows: lbf called N make all forces of a run 4.4 "
+    "times too small, kgf 9.8 times, and in-lbf called N*m all moments 8.9 times too large. A capacity of the data "
+    "sheet for each load shows it, and for forces the mass by weighing beside that on scales"
+)
+"""What is taken for granted of a schedule without capacities."""
+
 _SIDES: Final = (("forward", "fwd"), ("front", "fwd"), ("fore", "fwd"), ("rear", "aft"), ("back", "aft"))
 _ENDINGS: Final = ("bendingmoment", "moment", "force", "load", "bridge", "gauge", "gage")
 _SHORT: Final = {
@@ -104,6 +111,8 @@ def settle_capacities(
 ) -> CapacityTable:
     """Settle the capacity of every component: as given by the caller, else as stated, else the largest load.
 
+    Where none is given or stated nothing stands against the units of the loads, which is among what is assumed.
+
     Parameters
     ----------
     components
@@ -135,6 +144,8 @@ def settle_capacities(
                 "its largest load" if largest[i] > 0 else "there is no load either, so it stands for percentages only"
             )
             assumptions.append(f"capacity of {name} is not in the file: taken as {values[i]:.6g} {unit}, {what}")
+    if len(assumptions) == len(components) > 0:
+        assumptions.append(UNITS_ASSUMED)
     return CapacityTable(values, tuple(assumptions))
 
 

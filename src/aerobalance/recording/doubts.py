@@ -53,6 +53,7 @@ KINDS: Final[Mapping[str, str]] = {
     "tap point": "the model was not tapped at the point or in the direction stated",
     "tap apart": "the force of one tap does not go with the ringing after it",
     "outlying point": "one point of a weighing does not go with the others",
+    "mass": "weighing finds another mass than scales",
     "hysteresis": "the loads of a weighing depend on the way its points were reached",
     "unexplained": "the readings depart from what the model of balance and load expects",
 }

@@ -159,6 +159,10 @@ def weigh(
     zero: Zero = None,
     model_on_zero: OnZero = ModelOnZero.AUTO,
     channel_map: Map = None,
+    scales: Annotated[
+        str | None,
+        typer.Option("--scales", help="Mass of the model on scales, '42.1 kg', to hold the result against."),
+    ] = None,
     *,
     manner: Manner,
 ) -> None:
@@ -173,6 +177,7 @@ def weigh(
             gravity=gravity,
             files=gauge_files(balance, zero, model_on_zero, None, None),
             channel_map=channel_map,
+            scales=scales,
         ),
         manner,
         doing="weighing",

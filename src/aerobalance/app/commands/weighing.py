@@ -34,12 +34,16 @@ def weigh(
     gravity: float = STANDARD_GRAVITY,
     files: BalanceFiles | None = None,
     channel_map: Path | None = None,
+    scales: str | None = None,
 ) -> Result:
     """Return mass, offsets and tilt, and with moments the centre of gravity, from points or recordings at rest.
 
     Takes all loads that the files have, unless one component is named. With a balance, the recordings are of gauge
-    outputs.
+    outputs. A mass on scales is what the result is held against.
     """
+    on_scales = None if scales is None else mass_number(scales, option="--scales")
+    if scales is not None and on_scales is None:
+        raise ValueError(f"--scales must be a mass like 42.1, '42.1 kg' or '93 lb', not {scales}")
     if component is not None:
         known_component(component)
     check_out(out, *paths, channel_map, *(() if files is None else files.paths), kind="mass")
@@ -47,19 +51,27 @@ def weigh(
     names = None if component is None else (component,)
     with collected_warnings() as collected:
         if files is None:
-            weighing = weigh_recordings(read_points(paths, names, channel_map=chosen), gravity=gravity)
+            weighing = weigh_recordings(
+                read_points(paths, names, channel_map=chosen), gravity=gravity, scales=on_scales
+            )
         else:
             if files.zero_after or files.tare or files.mass is not None:
                 raise ValueError("weighing takes --zero alone: tares and closing zeros would take off what is weighed")
             recordings = [recording_of(path, channel_map) for path in paths]
             zero = files.zeros(channel_map)
-            weighing = weigh_recordings(recordings, files.matrix(), zero=zero, gravity=gravity, components=names)
+            weighing = weigh_recordings(
+                recordings, files.matrix(), zero=zero, gravity=gravity, components=names, scales=on_scales
+            )
     if out is not None:
         inputs = [*paths, *(() if files is None else files.paths)]
         settings: Result = {"components": weighing.components, "gravity": gravity}
+        if on_scales is not None:
+            settings["scales"] = on_scales
         write_weighing(out, weighing, inputs=inputs, settings=settings, warnings=collected)
     result: Result = weighing_payload(weighing)
     text = summary(paths, result)
+    if on_scales is not None:
+        text += f"{weighing.mass / on_scales:.4g} times the {on_scales:.6g} kg on scales\n"
     if len(weighing.components) == 1:  # what is found of one force stands at the top as well
         (single,) = weighing.components
         result = {**result, "component": single, **result["components"][single]}
@@ -103,7 +115,7 @@ def parse_mass(text: str | None, component: str) -> tuple[float, float] | None:
     return masses[component].mass, masses[component].u
 
 
-def mass_number(text: str, *, unit: str = "kg") -> float | None:
+def mass_number(text: str, *, unit: str = "kg", option: str = "--mass") -> float | None:
     """Mass in `unit` from the command line, with a unit of its own or without: ``42.1``, ``42,1 kg``, ``93 lb``.
 
     None where the text is the name of a file.
@@ -119,21 +131,22 @@ def mass_number(text: str, *, unit: str = "kg") -> float | None:
     number = match["number"]
     if re.fullmatch(r"[-+]?\d{1,3}(,\d{3})+", number):
         raise ValueError(
-            f"--mass {text} can be read in two ways; write thousands without a comma, decimals with a point"
+            f"{option} {text} can be read in two ways; write thousands without a comma, decimals with a point"
         )
     factor = 1.0
     if match["unit"]:
         try:
             factor = conversion(match["unit"].strip("[]"), expected=unit).factor
         except ValueError as error:
-            raise ValueError(f"--mass {text}: {error}") from None
+            raise ValueError(f"{option} {text}: {error}") from None
     try:
         value = float(number.replace(",", ".")) * factor
     except ValueError:
         value = float("nan")
     if not 0 < value < np.inf:
         raise ValueError(
-            f"--mass must be a positive number or a mass.json, not {text}; a number is like 42.1, '42.1 kg' or '93 lb'"
+            f"{option} must be a positive number{' or a mass.json' if option == '--mass' else ''}, not {text}; "
+            "a number is like 42.1, '42.1 kg' or '93 lb'"
         )
     return value
 

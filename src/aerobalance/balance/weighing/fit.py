@@ -31,7 +31,7 @@ from aerobalance.dynamics.rigid_body import FARTHEST, TOO_FAR, UNITS_ADVICE
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import AXES, FORCE_AXES, MOMENTS, STANDARD_GRAVITY
 from aerobalance.recording.doubts import Doubt
-from aerobalance.recording.errors import FitError, warn_quality
+from aerobalance.recording.errors import FitError, argument, warn_quality
 from aerobalance.recording.gravity import weight_direction
 
 LEAST_SHARE: Final = 1e-4
@@ -42,6 +42,16 @@ WHOLE: Final = 1e-6
 
 LARGEST_RELATIVE_UNCERTAINTY: Final = 0.5
 """Standard uncertainty of the mass, over the mass, from which the readings do not carry it."""
+
+SCALES_DIFFER: Final = 0.1
+"""Difference between the mass by weighing and that on scales, over the latter, up to which it may be the balance's own
+live end, which scales do not weigh."""
+
+SCALES_IN_U: Final = 3.0
+"""The same over the uncertainty of the weighing."""
+
+FORCE_UNITS: Final = {4.448222: "lbf and N", 9.80665: "kgf and N", 1000.0: "a unit and a thousand of it"}
+"""Factors between units of force that are mistaken for each other."""
 
 LEANS: Final[Mapping[str, Mapping[str, tuple[float, str]]]] = {
     "AF": {"right": (-1.0, "yaw"), "up": (-1.0, "pitch")},
@@ -118,6 +128,43 @@ def _far_away(found: Weighing) -> Iterator[Doubt]:
         for name in found.components:
             if name in MOMENTS:
                 yield Doubt("units", name, text, UNITS_ADVICE, None, "kg")
+
+
+def against_scales(found: Weighing, scales: float) -> Weighing:
+    """Return a weighing held against the mass of the same on scales [kg], with a doubt where it is another.
+
+    Raises
+    ------
+    ValueError
+        That is no mass.
+
+    Warns
+    -----
+    DataQualityWarning
+        They differ by more than the balance's own live end may be.
+    """
+    if not 0 < scales < np.inf:
+        raise ValueError(f"{argument('scales')} must be a positive and finite mass in kg, not {scales}")
+    ratio, u = found.mass / scales, found.u_mass / scales
+    if abs(ratio - 1) <= max(SCALES_DIFFER, SCALES_IN_U * u):
+        return found
+    alike = [
+        words
+        for factor, words in FORCE_UNITS.items()
+        if abs(abs(np.log(ratio)) - np.log(factor)) < np.log(1 + SCALES_DIFFER)
+    ]
+    like = f", which is a factor between {' or '.join(alike)}" if alike else ""
+    text = (
+        f"weighing finds {found.mass:.4g} kg, {ratio:.3g} times the {scales:.4g} kg on scales{like}: all loads may be "
+        "wrong by that factor"
+    )
+    advice = (
+        "check the units of loads and capacities in the schedule of the calibration, the unit of the gauge outputs, "
+        "and what was on the scales"
+    )
+    warn_quality(f"{text}; {advice}")
+    doubts = [Doubt("mass", name, text, advice, abs(found.mass - scales), "kg") for name in found.components]
+    return replace(found, doubts=(*found.doubts, *doubts))
 
 
 def _readings(points: LoadPoints, gravity: float) -> tuple[str, Readings]:

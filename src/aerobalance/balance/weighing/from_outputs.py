@@ -10,7 +10,14 @@ import numpy as np
 from aerobalance.balance.calibration.fit import Calibration, matrix_of
 from aerobalance.balance.loads import Loads, loads_of_outputs
 from aerobalance.balance.matrix import BalanceMatrix
-from aerobalance.balance.weighing import LoadPoints, Weighing, fit_weight, points_from_recordings, with_matrix_errors
+from aerobalance.balance.weighing import (
+    LoadPoints,
+    Weighing,
+    against_scales,
+    fit_weight,
+    points_from_recordings,
+    with_matrix_errors,
+)
 from aerobalance.balance.weight_on_zero import (
     FORCES,
     NotWeighed,
@@ -41,6 +48,7 @@ def weigh(
     zero: Zero | None = None,
     gravity: float = STANDARD_GRAVITY,
     components: Sequence[str] | None = None,
+    scales: float | None = None,
 ) -> Weighing:
     """Mass [kg], centre of gravity [m], offsets and tilts of what hangs on a balance, Eq. (1) of [Gorbushin2020]_.
 
@@ -57,12 +65,28 @@ def weigh(
         Local acceleration of gravity [m/s^2].
     components
         Components that are wanted; all that are there where left out.
+    scales
+        Mass of the same on scales [kg], which the result is held against: forces in another unit, or of another gain,
+        show in nothing else.
 
     Raises
     ------
     FitError
         The points do not tell the mass, or the recordings are nowhere at rest.
     """
+    found = _weighed(points, balance, zero=zero, gravity=gravity, components=components)
+    return found if scales is None else against_scales(found, scales)
+
+
+def _weighed(
+    points: LoadPoints | Recording | Sequence[Recording],
+    balance: BalanceMatrix | Calibration | None,
+    *,
+    zero: Zero | None,
+    gravity: float,
+    components: Sequence[str] | None,
+) -> Weighing:
+    """As `weigh`, held against nothing."""
     names = None if components is None else tuple(components)
     if isinstance(points, LoadPoints):
         return fit_weight(points, gravity=gravity)
