@@ -483,3 +483,20 @@ def test_natural_frequencies_that_a_record_does_not_tell_are_assumed(samples: in
     for name, effect in effects.items():  # none where such a record tells the frequencies, which two of five do
         # to first order, of one realisation, where both forces have learned spectra of their own: within a factor of 3
         assert 1 / 3 < effect / np.std(found[name].values - right[name].values) < 3, name
+
+
+@pytest.mark.parametrize("seed", [1, 5])
+def test_what_sines_leave_of_the_noise_is_no_mode_that_has_moved(seed: int) -> None:
+    """Decoupled, a component may have a resonance as broad as the noise between the tones: of 1 that was one."""
+    rng, clock = np.random.default_rng(seed), replace(SIX, rate=1000.0, samples=20_000, fine=8)
+    rng.uniform(size=3)
+    force = np.zeros((clock.count, 6))
+    for frequency, size in ((12.0, 0.1), (33.3, 0.06), (90.0, 0.03)):
+        turns = round(frequency * clock.count / (clock.rate * clock.fine))
+        sine = np.sin(2 * np.pi * turns * np.arange(clock.count) / clock.count)
+        force += np.outer(sine, size * HALF_RANGE * rng.uniform(-1, 1, 6))
+    values = np.column_stack([clock.sampled(column) for column in felt(balance(), force, clock).T])
+    values += rng.normal(size=values.shape) * NOISE * HALF_RANGE
+    found = _force(values, balance(), rate=clock.rate)
+    assert found.verdict == Verdict.FIT
+    assert not any("dynamics" in name and "open" in name for part in found.parts.values() for name in part.budget)

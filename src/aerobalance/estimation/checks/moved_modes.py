@@ -387,10 +387,14 @@ def one_moved(
         change = np.log([near.natural_frequency / known.natural_frequency, near.damping_ratio / known.damping_ratio])
         if abs(change[0]) < SETTINGS.as_expected[0] * known.damping_ratio and abs(change[1]) < SETTINGS.as_expected[1]:
             continue
+        # what is expected of the component alone may be as broad as the noise: a mode rings as one of the balance
+        away = [abs(np.log(near.natural_frequency / mode.natural_frequency)) for mode in dynamics.modes]
+        place = int(np.argmin(away))
+        if abs(np.log(near.damping_ratio / dynamics.modes[place].damping_ratio)) > SETTINGS.as_damped:
+            continue
         evidence = evidence_in(values, interval=interval, least_noise=reading.least_noise, learned=learned)
         evidence = replace(evidence, among=(known, near))
         gain = evidence.of(near) - evidence.of(known) - float(np.log(len(readings)))  # chance has as many tries
-        change = np.log([near.natural_frequency / known.natural_frequency, near.damping_ratio / known.damping_ratio])
         if gain > RESONANCE.open_from and abs(change[1]) < SETTINGS.as_damped:
             apart = [abs(np.log(mode.natural_frequency / known.natural_frequency)) for mode in dynamics.modes]
             found.append((gain, int(np.argmin(apart)), change))
