@@ -361,3 +361,60 @@ def test_equal_readings_of_steps_and_of_what_is_worked_out_of_them_are_chance(rn
         values = np.round(rng.normal(0, 1.0, 20_000) / step) * step
         for one in (values, values * 1.234 + 7.7e3, values - 0.1 * values[0]):
             assert not stuck_samples(one).any()
+
+
+def through_bridges(change, rng) -> Loads:
+    """Loads of 20 s at 1 kHz by a bridge of each component, that of AF changed; a broad load of a third of range."""
+    matrix = replace(random_balance(seed_from(rng)), natural_zero=None)
+    smooth = [np.convolve(rng.normal(size=20_049), np.hanning(50), mode="valid") for _ in range(6)]
+    native = np.column_stack(smooth)
+    native /= native.std(axis=0) / (0.3 * matrix.load_scale)
+    outputs = matrix.outputs(native) + rng.normal(0, 1e-4, native.shape)
+    outputs[:, 5] = change(outputs[:, 5])
+    names = ("rN1", "rN2", "rS1", "rS2", "rRM", "rAF")
+    channels = {name: Channel(name, outputs[:, place], "mV/V") for place, name in enumerate(names)}
+    still = GaugeZero(np.zeros(6), np.zeros(6), "known", np.zeros(6), model_on=False)
+    run = Recording.from_columns(np.arange(len(outputs)) / 1000, channels, name="run")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)
+        return loads_of_outputs(run, matrix, zero=still)
+
+
+def test_all_loads_are_missing_where_a_contact_was_lost(rng):
+    """A bridge that now and then reads the end of its amplifier; each load needs its reading."""
+    away = (np.arange(20_000) % 3100) < 50
+    loads = through_bridges(lambda own: np.where(away, -2.9, own), rng)
+    clean, doubts = without_wild_samples(loads, loads.components)
+    lost = np.isnan(clean.values)
+    assert (lost == lost[:, :1]).all()
+    assert lost[away, 0].all()
+    assert np.count_nonzero(lost[~away, 0]) <= 2 * 7 * len(loads.components)  # wild ones beside the seven
+    assert {doubt.component for doubt in doubts if doubt.kind == "stuck channel"} == set(loads.components)
+    assert all("rAF" in doubt.text and doubt.effect == 0 for doubt in doubts if doubt.kind == "stuck channel")
+    assert not loads.doubts
+
+
+@pytest.mark.parametrize("side", [-1.0, 1.0])
+def test_a_bridge_that_rests_on_a_limit_too_often_is_doubted(side, rng):
+    """A limit at a third of the standard deviation lets no more than 63 % pass."""
+    loads = through_bridges(lambda own: side * np.minimum(side * own, own.std() / 3), rng)
+    clean, _ = without_wild_samples(loads, loads.components)
+    assert np.isfinite(clean.values).mean() > 0.99
+    told = [doubt for doubt in loads.doubts if doubt.kind == "clipping"]
+    assert {doubt.component for doubt in told} == set(loads.components)
+    assert all("rAF rest on one value" in doubt.text and doubt.effect is None for doubt in told)
+
+
+@pytest.mark.parametrize("soft", [True, False])
+def test_an_amplifier_that_limits_softly_is_named(soft, rng):
+    """By tanh, from one standard deviation on, in steps of a converter of 20 bits: readings crowd before its limit."""
+
+    def change(own):
+        start = own.std()
+        limited = start + 0.1 * start * np.tanh((own - start) / (0.1 * start))
+        step = 2.0**-19 * 3
+        return np.round(np.where(own > start, limited if soft else own, own) / step) * step
+
+    told = {doubt.kind: doubt for doubt in through_bridges(change, rng).doubts}
+    assert ("clipping" in told) == soft
+    assert not soft or "rAF crowd before the value" in told["clipping"].text

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.zeros import MOVED_IN_RANGE, GaugeZero
@@ -16,6 +17,7 @@ from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import FitError, warn_quality
 from aerobalance.recording.noise import white_noise
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.stuck_samples import stuck_samples
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,6 +68,23 @@ ROWS_AT_ONCE: Final = 64
 
 ROUNDING: Final = 1e-9
 """Scatter of outputs over those at capacity that is rounding."""
+
+MOST_LOST: Final = 0.1
+"""Share of the readings of a bridge that rest, up to which all loads are taken for missing there: with more the forces
+would be those of the gaps."""
+
+DEAD: Final = 0.9
+"""The same from which on the bridge is dead."""
+
+CROWD: Final = 2.0
+"""Readings in the last tenth before a limit over those in the tenth before that, from which on they crowd there: the
+tails of a load thin out."""
+
+CROWDS_IN_NOISE: Final = 5.0
+"""The same over what chance makes of their number."""
+
+NEAR_LIMIT: Final = 0.01
+"""Distance from the largest or least reading, over that from the median, within which one rests on a limit."""
 
 SETTINGS: Final = LoadSettings()
 """Thresholds that are used."""
@@ -277,6 +296,68 @@ def doubts_of_zero(zero: GaugeZero, components: Sequence[str], slope: Array) -> 
         )
         for name, unit, effect in zip(components, units, effects.tolist(), strict=True):
             yield Doubt("zero", name, f"{zero.source} {text.format(sizes)} (rms)", advice, effect, unit)
+
+
+def stuck_outputs(channels: Sequence[Channel], balance: BalanceMatrix) -> NDArray[np.bool_]:
+    """Readings of the bridges that repeat the one before, by no chance, shape (n, c).
+
+    None of few readings, or of a bridge that does not move but for rounding.
+    """
+    found = np.zeros((channels[0].values.size, len(channels)), dtype=np.bool_)
+    for place, channel in enumerate(channels):
+        known = channel.values[np.isfinite(channel.values)]
+        least = ROUNDING * (float(balance.output_scale[place]) if channel.unit == "mV/V" else 0.0)
+        if known.size >= SETTINGS.fewest and float(np.ptp(known)) > least:
+            found[:, place] = stuck_samples(channel.values)
+    return found
+
+
+def doubts_of_limits(
+    readings: Sequence[Array], rests: NDArray[np.bool_], balance: BalanceMatrix, components: Sequence[str]
+) -> Iterator[Doubt]:
+    """Return doubts about bridges that rest too often to do without, or crowd before a limit, one for each component.
+
+    Parameters
+    ----------
+    readings
+        As the channels have them, shape (n,) each.
+    rests
+        Which of them repeat the one before or are on a limit of the channel, shape (n, c).
+    balance
+        The matrix.
+    components
+        Components of the loads.
+    """
+    for gauge, values, rest in zip(balance.gauges, readings, rests.T, strict=True):
+        share = float(rest.mean())
+        if MOST_LOST < share < DEAD:
+            text = (
+                f"{100 * share:.2g} % of the readings of r{gauge} rest on one value or on a limit: too many to do "
+                "without, and all loads are wrong there"
+            )
+        elif rest.any() and _crowds(values, rest):
+            text = (
+                f"readings of r{gauge} crowd before the value that {np.count_nonzero(rest)} of them rest on: the "
+                "amplifier limits softly, and all loads are wrong well before that"
+            )
+        else:
+            continue
+        for name in components:
+            unit = si_unit(name) if name in COMPONENTS else "N"
+            yield Doubt("clipping", name, text, "record with a larger range", None, unit)
+
+
+def _crowds(values: Array, rest: NDArray[np.bool_]) -> bool:
+    """Whether readings crowd before the largest or least one, on which some rest, all arguments of shape (n,)."""
+    middle, there = float(np.nanmedian(values)), np.isfinite(values)
+    for end in (float(np.nanmax(values)), float(np.nanmin(values))):
+        if end == middle or not (np.abs(values[rest] - end) < NEAR_LIMIT * abs(end - middle)).any():
+            continue
+        place = (values[there & ~rest] - middle) / (end - middle)
+        last, before = (np.count_nonzero((place > low) & (place <= low + 0.1)) for low in (0.9, 0.8))
+        if last > CROWD * before + CROWDS_IN_NOISE * np.sqrt(before + 1):
+            return True
+    return False
 
 
 def doubts_of_bridges(

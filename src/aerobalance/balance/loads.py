@@ -13,16 +13,20 @@ from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from aerobalance.balance.bridge_temperature import at_reference_temperature
 from aerobalance.balance.load_checks import (
+    MOST_LOST,
     check_iteration,
     check_range,
     check_rows,
     check_size,
     doubts_of_bridges,
+    doubts_of_limits,
     doubts_of_size,
     doubts_of_zero,
+    stuck_outputs,
 )
 from aerobalance.balance.load_formats import FORM_MOMENTS, FORMS, Form, between_forms
 from aerobalance.balance.load_variance import load_variances
@@ -104,6 +108,9 @@ class Loads:
         Whether gravity is in the loads and in the recording alike, as the force needs it.
     doubts
         What their zeros say against them.
+    stuck, clipped
+        Readings of the bridges that repeat the one before, or rest on a limit of the channel, in the order of the
+        balance's bridges, shape (n, c); None where there are none.
     """
 
     components: tuple[str, ...]
@@ -122,6 +129,8 @@ class Loads:
     recording: Recording
     ready: bool
     doubts: tuple[Doubt, ...] = ()
+    stuck: NDArray[np.bool_] | None = None
+    clipped: NDArray[np.bool_] | None = None
 
     def __repr__(self) -> str:
         means = zip(self.components, np.nanmean(self.values, axis=0), self.units, strict=True)
@@ -182,6 +191,8 @@ class Loads:
             apart=self.apart if len(self.apart) == 1 else self.apart[own],
             native=self.native[own],
             recording=self.recording.part(begin, end),
+            stuck=None if self.stuck is None else self.stuck[own],
+            clipped=None if self.clipped is None else self.clipped[own],
         )
 
     def sparse(self, every: int) -> Loads:
@@ -191,6 +202,8 @@ class Loads:
             values=self.values[::every],
             apart=self.apart if len(self.apart) == 1 else self.apart[::every],
             native=self.native[::every],
+            stuck=None if self.stuck is None else self.stuck[::every],
+            clipped=None if self.clipped is None else self.clipped[::every],
         )
 
     @property
@@ -280,6 +293,7 @@ def loads_of_outputs(
         not those of this run.
     """
     table, channels = gauge_table(recording, balance)
+    read = [recording.channel(channel.name) for channel in channels]  # before they were divided by the excitation
     since_calibration = zero is None and balance.natural_zero is not None
     zero = _calibration_zero(recording, balance) if zero is None else zero
     if zero.model_on is None:
@@ -330,6 +344,8 @@ def loads_of_outputs(
     correlation = np.eye(len(scatter))
     if known.any():
         correlation = noise_correlation(np.column_stack([interpolate_gaps_linearly(one) for one in values.T]))
+    clipped = np.column_stack([one.at_limit for one in read])
+    stuck = stuck_outputs(read, balance) & ~clipped
     loads = Loads(
         components=components,
         units=tuple("N*m" if moment else "N" for moment in moments),
@@ -349,12 +365,21 @@ def loads_of_outputs(
         doubts=(
             *doubts_of_zero(zero, components, slope),
             *doubts_of_size(table, balance, components),
+            *doubts_of_limits([one.values for one in read], stuck | clipped, balance, components),
             *doubts_of_bridges(outputs, native, balance, components, sensitivity=middle),
         ),
+        stuck=_few(stuck),
+        clipped=_few(clipped),
     )
     for text in dict.fromkeys(str(doubt) for doubt in loads.doubts):  # one sentence for all components
         warn_quality(f"{recording.name}: {text}")
     return replace(loads, recording=_with_loads(recording, loads))
+
+
+def _few(found: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
+    """Readings of the bridges that are none, shape (n, c), of bridges with few of them; None where there are none."""
+    few = found & (found.mean(axis=0) <= MOST_LOST)
+    return few if few.any() else None
 
 
 def _form_of(balance: BalanceMatrix, form: Form | None) -> tuple[tuple[str, ...], Sequence[bool], Array]:

@@ -78,7 +78,7 @@ def checked(force: Force) -> Force:
     if isinstance(record, CoupledRecord):
         filled = force.filled
         # with a dead channel nothing rings as the dynamics do, and that is said of it
-        dead = any(doubt.kind == "stuck channel" and doubt.effect is None for doubt in force.doubts)
+        dead = any(doubt.kind in ("stuck channel", "clipping") and doubt.effect is None for doubt in force.doubts)
         otherwise = shape_doubts(record, filled, parts) if np.ptp(filled, axis=0).all() and not dead else {}
         sure = dead or any(part.doubts != parts[name].doubts for name, part in otherwise.items())
         parts |= {name: _named_only(part) if sure else part for name, part in otherwise.items()}

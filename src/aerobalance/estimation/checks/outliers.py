@@ -1,8 +1,9 @@
 """Readings of a run that are not physical: outliers (wild samples), stuck and clipped ones.
 
 In the loads, wild and stuck samples are made missing (NaN); clipped ones are told of here and left out where the load
-is read. In the channels of the ground's motion, stuck and clipped samples are made missing, and wild ones are replaced
-by the value of a polynomial fitted to their neighbours. Angles may rest on a reading, so none of them is stuck.
+is read. Where loads come from gauge outputs, all are missing where a bridge was stuck or on a limit: each needs it.
+In the channels of the ground's motion, stuck and clipped samples are made missing, and wild ones are replaced by the
+value of a polynomial fitted to their neighbours. Angles may rest on a reading, so none of them is stuck.
 """
 
 from __future__ import annotations
@@ -59,7 +60,10 @@ def without_wild_samples(
     doubts: list[Doubt] = []
     channels = dict(recording.channels)
     present = [name for name in components if name in recording]
-    for name, channel in recording.channels.items():
+    if isinstance(given, Loads):
+        doubts += _of_bridges(given, present)
+        channels |= _without_bridges(given, present)
+    for name, channel in list(channels.items()):
         is_load = name in present
         if not (is_load or is_of_ground(name)):
             continue
@@ -90,6 +94,34 @@ def without_wild_samples(
         if name in channels:
             table[np.isnan(channels[name].values), place] = np.nan
     return replace(given, recording=clean, values=table), tuple(doubts)
+
+
+def _without_bridges(given: Loads, components: Sequence[str]) -> dict[str, Channel]:
+    """The loads without those of instants at which a bridge has no reading; none where all have."""
+    bad = [some.any(axis=1) for some in (given.stuck, given.clipped) if some is not None]
+    if not bad:
+        return {}
+    lost, found = np.any(bad, axis=0), {name: given.recording.channel(name) for name in components}
+    return {name: replace(one, values=np.where(lost, np.nan, one.values)) for name, one in found.items()}
+
+
+def _of_bridges(given: Loads, components: Sequence[str]) -> Iterator[Doubt]:
+    """Doubts about readings of the bridges that loads come from, for every component: each load needs all of them."""
+    told = (
+        ("stuck channel", given.stuck, "repeat the one before", "look at the bridge, its cable and its amplifier"),
+        ("clipping", given.clipped, "rest on a limit of the channel", "record with a larger range"),
+    )
+    for kind, found, what, advice in told:
+        if found is None:
+            continue
+        for place in np.flatnonzero(found.any(axis=0)):
+            some = found[:, place]
+            text = (
+                f"{_samples(some)} of r{given.balance.gauges[place]} {what} (from {_instants(given.recording, some)} "
+                "on): all loads are taken for missing there"
+            )
+            for name in components:
+                yield Doubt(kind, name, text, advice, 0.0, si_unit(name))
 
 
 def _filled(values: Array, wild: NDArray[np.bool_]) -> Array:
