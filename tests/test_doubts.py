@@ -226,6 +226,7 @@ def test_the_lines_of_a_square_wave_are_no_resonance_and_all_its_edges_are_found
 def test_a_shock_is_in_the_uncertainty_where_it_is(seed: int):
     force, found = tried(CASES["half sine of 3 ms, 1000 N"], seed)
     assert {doubt.kind for doubt in force.doubts} == {"unexplained"}
+    assert "such as a gust, compare with `bandwidth=" in force.doubts[0].advice
     # 5 u: once in 400 records of 4000 samples; 14 to 16 of them stood beside the shock where u was that of blocks
     assert found["largest_z"] < 5
 

@@ -20,6 +20,7 @@ from aerobalance.estimation.prior import Observation, SpectralPrior, resolved_ba
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import Doubt
+from aerobalance.recording.errors import argument
 from aerobalance.recording.fourier import hann
 
 BLOCK: Final = 256
@@ -84,7 +85,11 @@ def unexplained_stretches(
         f"({np.sqrt(level[worst]):.2g} times the chance scatter); {shown} in the uncertainty there, but an error that "
         "the model makes everywhere is not"
     )
-    return raised, [Doubt("unexplained", name, text, unit=unit)], missed
+    advice = (
+        "look at load and balance there: if it is an event shorter than the rest of the record lets expect, such as a "
+        f"gust, compare with {argument('bandwidth', max(round(highest), 1))}, which smooths none"
+    )
+    return raised, [Doubt("unexplained", name, text, advice, unit=unit)], missed
 
 
 def excess_of(white: Array) -> tuple[Array, NDArray[np.intp]]:
