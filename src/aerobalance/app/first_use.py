@@ -7,8 +7,9 @@ import numpy as np
 from aerobalance.app.monitor.engine import warm_up
 from aerobalance.balance.inversion import inverted
 from aerobalance.dynamics._kernels import first_order
-from aerobalance.estimation.checks._kernels import ForceLines, likeliest_levels
+from aerobalance.estimation.checks._kernels import ForceLines, likeliest_levels, likeliest_levels_and_noise
 from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.spectra._kernels import Search
 from aerobalance.simulation.cable_cut import CableCut
 
 
@@ -22,6 +23,8 @@ def compile_all() -> None:
     both = np.ones((2, 2), dtype=complex)
     levels = ForceLines(both, np.stack([both, both]), np.ones(2), np.ones((2, 2)), np.ones(2, dtype=bool), 0.01)
     likeliest_levels(levels, np.zeros(1, dtype=np.int64), 1, 0.02, np.empty(1))
+    search = Search(np.empty(0), np.empty(0), 1, 0.02, 3.0, 0.01)
+    likeliest_levels_and_noise(levels, np.ones((2, 2)), np.zeros(1, dtype=np.int64), search, np.empty(1))
     terms = np.array([0, 0, 2, 2]), np.array([0, 1, 0, 1]), np.array([0, 1, 0, 1])
     bent = np.array([[1.0, 0.0], [0.0, 1.0], [0.1, 0.0], [0.0, 0.1]])  # y = x + x^2 / 10
     inverted(terms, bent, np.eye(2), np.array([[0.1, 0.1], [50.0, 50.0]]))  # the second by Newton's method

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.estimation.spectra._kernels import solve_by_root
+from aerobalance.estimation.spectra._kernels import Search, solve_by_root
 from aerobalance.recording.compiled import compiled
 
 Complexes = NDArray[np.complex128]
@@ -269,4 +269,176 @@ def likeliest_levels(forces: ForceLines, bands: Integers, steps: int, enough: fl
             else:
                 for i in range(count):
                     level[i] *= ratio[i]
+        found[band] = most
+
+
+class JointScoring(NamedTuple):
+    """Room for what scoring the levels of n forces and of the noise of as many channels together needs.
+
+    Attributes
+    ----------
+    slope
+        Slopes of a log-likelihood by the levels, shape (2 n,).
+    information
+        Lower half of the information that is expected, shape (2 n, 2 n).
+    white
+        Lines at an ordinate, whitened by the root of their covariance, shape (n,).
+    root
+        That root, the lower half, shape (n, n).
+    parts
+        What each level is a density of, whitened by it, shape (2 n, n).
+    """
+
+    slope: Floats
+    information: Floats
+    white: Complexes
+    root: Complexes
+    parts: Complexes
+
+
+@compiled(inner=True)
+def score_levels_and_noise(
+    level: Floats, forces: ForceLines, first: int, last: int, common: Complexes, room: JointScoring
+) -> float:
+    """Return the log-likelihood of lines at some ordinates, and write what scoring needs.
+
+    Parameters
+    ----------
+    level
+        Density of each force, then what each channel's noise has beside that which is known, shape (2 n,).
+    forces, first, last, common
+        As of `score_levels`.
+    room
+        What is written.
+    """
+    count = forces.lines.shape[0]
+    slope, information, white, root, parts = room.slope, room.information, room.white, room.root, room.parts
+    found = 0.0
+    slope[:] = 0.0
+    information[:] = 0.0
+    for place in range(first, last):
+        if not forces.told[place]:
+            continue
+        rows = forces.rows[place]
+        for a in range(count):
+            own = 0.0
+            for b in range(a + 1):
+                left = common[place - first, a, b]
+                for k in range(count):
+                    left += rows[a, k] * level[count + k] * np.conj(rows[b, k])
+                if a == b:
+                    left += level[a] * forces.gain[a, place]
+                    own = left.real
+                for c in range(b):
+                    left -= root[a, c] * np.conj(root[b, c])
+                if b < a:
+                    root[a, b] = left / root[b, b].real
+                else:
+                    rest = max(left.real, 1e-12 * own)  # as of `score_levels`
+                    root[a, a] = np.sqrt(rest)
+                    found -= np.log(rest)
+            line = forces.lines[a, place]
+            for c in range(a):
+                line -= root[a, c] * white[c]
+            white[a] = line / root[a, a].real
+            found -= white[a].real ** 2 + white[a].imag ** 2
+        for i in range(2 * count):
+            line = 0j
+            for a in range(count):
+                left = complex(np.sqrt(forces.gain[i, place])) if a == i else 0j
+                if i >= count:
+                    left = rows[a, i - count]
+                for c in range(a):
+                    left -= root[a, c] * parts[i, c]
+                parts[i, a] = left / root[a, a].real
+                line += np.conj(parts[i, a]) * white[a]
+            slope[i] += line.real**2 + line.imag**2
+            for j in range(i + 1):
+                both = 0j
+                for a in range(count):
+                    both += np.conj(parts[i, a]) * parts[j, a]
+                information[i, j] += both.real**2 + both.imag**2
+                if i == j:
+                    slope[i] -= both.real
+    return found
+
+
+@compiled(nogil=True, error_model="numpy")
+def likeliest_levels_and_noise(
+    forces: ForceLines, power: Floats, bands: Integers, search: Search, found: Floats
+) -> None:
+    """Write the log-likelihood of lines in every band, the densities of forces and noise there at their likeliest.
+
+    The logarithms of the levels are moved by damped scoring, which begins with all that a band has as force and as
+    noise.
+
+    Parameters
+    ----------
+    forces
+        The lines; their share does not matter, and their noise is what there is of it at least.
+    power
+        Density of each channel, shape (n, m).
+    bands
+        First ordinate of every band, shape (b,).
+    search
+        How the search goes on; its ends do not matter.
+    found
+        The log-likelihoods, shape (b,).
+    """
+    count, ordinates = forces.lines.shape
+    size = 2 * count
+    room = JointScoring(
+        np.empty(size),
+        np.empty((size, size)),
+        np.empty(count, np.complex128),
+        np.empty((count, count), np.complex128),
+        np.empty((size, count), np.complex128),
+    )
+    level, best, slope, information = np.empty(size), np.empty(size), np.empty(size), np.empty((size, size))
+    table, step = np.empty((size, size)), np.empty(size)
+    for band in range(bands.size):
+        first, last = bands[band], bands[band + 1] if band + 1 < bands.size else ordinates
+        common = np.empty((last - first, count, count), np.complex128)
+        level[:] = 0.0
+        told = 0
+        for place in range(first, last):
+            if not forces.told[place]:
+                continue
+            told += 1
+            for i in range(count):
+                line = forces.lines[i, place]
+                level[i] += (line.real**2 + line.imag**2) / forces.gain[i, place]
+                level[count + i] += power[i, place]
+                for j in range(i + 1):
+                    both = 0j
+                    for k in range(count):
+                        both += forces.rows[place, i, k] * forces.noise[k] * np.conj(forces.rows[place, j, k])
+                    common[place - first, i, j] = both
+        found[band] = 0.0
+        if not told:
+            continue
+        level /= told
+        most, damping, still = -np.inf, search.damping, 0
+        for _ in range(search.steps):
+            now = score_levels_and_noise(level, forces, first, last, common, room)
+            if now > most:
+                still = 0 if now - most > search.enough else still + 1
+                most, damping = now, damping / 10
+                best[:] = level
+                for i in range(size):
+                    slope[i] = room.slope[i] * best[i]
+                    for j in range(i + 1):
+                        information[i, j] = room.information[i, j] * best[i] * best[j]
+                if still == 2:
+                    break
+            else:
+                damping *= 10
+            for i in range(size):
+                step[i] = slope[i]
+                for j in range(i + 1):
+                    table[i, j] = information[i, j]
+                table[i, i] += damping * table[i, i] + 1e-6
+            solve_by_root(table, size, step)
+            for i in range(size):
+                level[i] = best[i] * np.exp(min(max(step[i], -search.longest), search.longest))
         found[band] = most

@@ -50,6 +50,9 @@ class ModeShapeSettings:
     decisive
         Gain in log-likelihood, beside the band that brings most, that other signs or another order must bring: chance
         and narrow bands of the load brought 9.
+    second
+        What of it a second channel with another sign must bring over one alone: that both are wrong is at most one in
+        20 of such faults, and of a mode that the load hardly excites the record does not tell the sign.
     tones_above
         Frequency above which tones are taken out, over the lowest natural frequency.
     tells
@@ -61,6 +64,7 @@ class ModeShapeSettings:
     """
 
     decisive: float = 20.0
+    second: float = 3.0
     tones_above: float = 0.5
     tells: float = 2.0
     end: float = 1e-3
@@ -98,6 +102,7 @@ def other_shapes(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherSha
     rings = ringing.about([mode.natural_frequency for mode in dynamics.modes])
     there = rings[ringing.bands]
     gains = []
+    price = [SETTINGS.second * (kind == "swapped sign" and len(places) == 2) for kind, places, _ in exchanged]
     for _, _, rows in exchanged:
         found = ringing.evidence(rows, determinant=volume, told=ringing.shown & rings)
         if float(np.sum((found - known)[there])) < -SETTINGS.decisive:
@@ -105,6 +110,11 @@ def other_shapes(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherSha
             continue
         found += ringing.evidence(rows, determinant=volume, told=ringing.shown & ~rings)
         gains.append(-np.inf if contradicted(found, known) else gain_of(found, known))
+    if max(gains) > SETTINGS.decisive:  # or what they explain is noise that is not white
+        known = ringing.evidence_with_color(own, determinant=volume)
+        colored = [ringing.evidence_with_color(rows, determinant=volume) for _, _, rows in exchanged]
+        gains = [-np.inf if contradicted(one, known) else gain_of(one, known) for one in colored]
+    gains = list(np.subtract(gains, price))
     best = int(np.argmax(gains))
     gain, (kind, places, rows) = gains[best], exchanged[best]
     moved = moved_together(ringing, dynamics, known, least=max(gain, MOVED.moved))

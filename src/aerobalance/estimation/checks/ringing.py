@@ -24,9 +24,10 @@ from numpy.typing import NDArray
 from aerobalance.dynamics.condensation import partial_fractions
 from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.driven_modes import values_and_rates
-from aerobalance.estimation.checks._kernels import ForceLines, likeliest_levels
+from aerobalance.estimation.checks._kernels import ForceLines, likeliest_levels, likeliest_levels_and_noise
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.result import ComponentForce
+from aerobalance.estimation.spectra._kernels import Search
 from aerobalance.estimation.spectra.periodogram import HANN_BANDWIDTH, HANN_WIDTH, LOBES, Periodogram
 from aerobalance.recording.channel import Array
 from aerobalance.recording.fourier import hann
@@ -78,6 +79,12 @@ class RingingSettings:
 
 SETTINGS: Final = RingingSettings()
 """Settings that are used."""
+
+COLORED: Final = Search(np.empty(0), np.empty(0), steps=60, enough=0.02, longest=3.0, damping=0.01)
+"""How levels of forces and of noise are looked for."""
+
+AKAIKE: Final = 1.0
+"""Price in log-likelihood of a number that is fitted (H. Akaike, IEEE Trans. Autom. Control 19 (1974) 716)."""
 
 SMOOTHED: Final = 3
 """Ordinates over which the power about one is averaged: a main lobe."""
@@ -257,13 +264,40 @@ class RingingSpectra:
             Ordinates that count, shape (m,): those that are shown where none are given.
         """
         told = self.shown if told is None else told
-        volume = self.determinant(rows) if determinant is None else determinant
         found = np.empty(self.bands.size)
-        # of one order in memory, also of a stretch of them: the loop is compiled for each kind that it is given
+        likeliest_levels(self._forces(rows, told), self.bands, SETTINGS.iterations, SETTINGS.enough, found)
+        return self._less_volume(found, rows, told, determinant)
+
+    def evidence_with_color(self, rows: Rows, *, determinant: Array | None = None) -> Array:
+        """Logarithm of the likelihood in every band where the channels' noise may have any level there, (bands,).
+
+        It is that with white noise where more brings less than Akaike's price of its numbers: a channel's level in a
+        band is one. What has a color and is taken for white noise is in several forces, as the rows make it, and
+        speaks for rows that make it least so.
+
+        Parameters
+        ----------
+        rows
+            The rows.
+        determinant
+            What `determinant` gives of them, where it is known.
+        """
+        volume = self.determinant(rows) if determinant is None else determinant
+        forces, found = self._forces(rows, self.shown), np.empty(self.bands.size)
+        channels = np.linalg.solve(forces.rows, forces.lines.T[..., None])[..., 0].T
+        likeliest_levels_and_noise(forces, np.abs(channels) ** 2, self.bands, COLORED, found)
+        colored = self._less_volume(found, rows, self.shown, volume) - AKAIKE * self.noise.size
+        return np.maximum(self.evidence(rows, determinant=volume), colored)
+
+    def _forces(self, rows: Rows, told: NDArray[np.bool_]) -> ForceLines:
+        """What rows make of the record, of one order in memory also of a stretch: the loops are compiled for each."""
         lines, whole = np.ascontiguousarray(self.readings(rows)), np.ascontiguousarray(rows.at(self.frequency))
         gain, told = np.ascontiguousarray(self.gain), np.ascontiguousarray(told)
-        forces = ForceLines(lines, whole, self.noise, gain, told, SETTINGS.noisy)
-        likeliest_levels(forces, self.bands, SETTINGS.iterations, SETTINGS.enough, found)
+        return ForceLines(lines, whole, self.noise, gain, told, SETTINGS.noisy)
+
+    def _less_volume(self, found: Array, rows: Rows, told: NDArray[np.bool_], determinant: Array | None) -> Array:
+        """Log-likelihoods of independent ordinates of the channels, by those of all of the forces, shape (bands,)."""
+        volume = self.determinant(rows) if determinant is None else determinant
         return np.asarray(found + np.add.reduceat(volume * told, self.bands)) / HANN_BANDWIDTH
 
     def joint_evidence(self, rows: Rows) -> float:
