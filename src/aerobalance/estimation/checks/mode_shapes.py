@@ -22,9 +22,9 @@ from aerobalance.estimation.checks.moved_modes import SETTINGS as MOVED
 from aerobalance.estimation.checks.moved_modes import (
     Moved,
     OtherShapes,
-    by_its_hole,
     contradicted,
     gain_of,
+    moved_alone,
     moved_together,
     one_moved,
 )
@@ -304,7 +304,7 @@ def _spoken(
     other = other_shapes(ringing, record.dynamics)
     if other is None:
         first = int(within.start)
-        return by_its_hole(ringing, record.dynamics) or one_moved(ringing, record, parts, readings, first=first)
+        return moved_alone(ringing, record.dynamics) or one_moved(ringing, record, parts, readings, first=first)
     # a tone is narrower than any resonance, and looks like one that is elsewhere
     above = SETTINGS.tones_above * record.dynamics.modes[0].natural_frequency * record.interval
     ringing = RingingSpectra.of(record, without_tones(loads[within], above=above), parts)

@@ -15,7 +15,7 @@ frequencies, which other rows have at those frequencies.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -244,6 +244,28 @@ class RingingSpectra:
         widths = np.diff(np.append(self.bands, self.frequency.size))
         inside = np.searchsorted(self.frequency[self.bands], np.array(frequencies), side="right") - 1
         return np.repeat(np.isin(np.arange(self.bands.size), inside), widths)
+
+    def near(self, frequency: float, *, within: float) -> RingingSpectra | None:
+        """The same in the bands that begin near a frequency [Hz]; None where there are none.
+
+        `within` is the largest logarithm of a band's first frequency over it.
+        """
+        away = np.abs(np.log(self.frequency[self.bands] / frequency))
+        inside = np.flatnonzero(away < within)
+        if not inside.size:
+            return None
+        first = int(self.bands[inside[0]])
+        ends = np.append(self.bands[1:], self.frequency.size)
+        part = slice(first, int(ends[inside[-1]]))
+        return replace(
+            self,
+            frequency=self.frequency[part],
+            lines=self.lines[..., part],
+            gain=self.gain[:, part],
+            bands=self.bands[inside] - first,
+            shown=self.shown[part],
+            clear=self.clear[part],
+        )
 
     def readings(self, rows: Rows) -> NDArray[np.complex128]:
         """Spectral lines of the decoupled components' readings by other rows, shape (n, m)."""
