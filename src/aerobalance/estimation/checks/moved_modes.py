@@ -338,15 +338,22 @@ def moved_alone(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherShap
         clear = bool(between.any()) and float(np.mean((about.shown & about.clear)[between])) >= SETTINGS.alone_clear
         if not clear or abs(damping) >= SETTINGS.as_damped or gain_of_one(moved) < SETTINGS.alone_least:
             continue
-        loaded = _with_a_narrow_load(about, mode.natural_frequency)
-        gain = float(np.sum(about.evidence(moved.rows) - loaded.evidence(own.rows)))
-        if gain >= SETTINGS.alone_open_from:  # or what it explains is noise that is not white
-            colored = about.evidence_with_color(moved.rows) - loaded.evidence_with_color(own.rows)
-            gain = min(gain, float(np.sum(colored)))
+        gain = _gain_over_a_narrow_load(about, moved, mode.natural_frequency)
         if gain >= SETTINGS.alone_open_from:
             likely = 1.0 if gain >= SETTINGS.alone_decisive else float(expit(gain))
             found.append(OtherShapes("natural frequency", (), moved.rows, gain, moved, likely))
     return max(found, key=lambda one: one.gain, default=None)
+
+
+def _gain_over_a_narrow_load(about: RingingSpectra, moved: Moved, frequency: float) -> float:
+    """Gain in log-likelihood of a mode that has moved, over a narrow band of one load near a frequency [Hz]."""
+    loaded = _with_a_narrow_load(about, frequency)
+    gain = float(np.sum(about.evidence(moved.rows) - loaded.evidence(about.own)))
+    if gain < SETTINGS.alone_open_from:
+        return gain
+    # or what it explains is noise that is not white
+    colored = about.evidence_with_color(moved.rows) - loaded.evidence_with_color(about.own)
+    return min(gain, float(np.sum(colored)))
 
 
 def _with_a_narrow_load(about: RingingSpectra, frequency: float) -> RingingSpectra:
@@ -435,6 +442,10 @@ def one_moved(
     moved = _closer(ringing, own, place, own.by(place, change))
     gains = _evidence(ringing, moved) - _evidence(ringing, own)
     if abs(moved.changes[place, 1]) > SETTINGS.as_damped or float(np.sum(gains)) < RESONANCE.open_from:
+        return None
+    frequency = dynamics.modes[place].natural_frequency
+    about = ringing.near(frequency, within=SETTINGS.alone_about)
+    if about is None or _gain_over_a_narrow_load(about, moved, frequency) < SETTINGS.alone_open_from:
         return None
     likely = float(expit(RESONANCE.open_steepness * (gain - RESONANCE.open_half)))
     return OtherShapes(
