@@ -190,7 +190,7 @@ def spectral(kernels: ModuleType, numbers: tuple[np.ndarray, ...]) -> list[np.nd
 
 
 def likely(kernels: ModuleType) -> list[np.ndarray]:
-    """Likelihoods of lines of forces: with all noise in common, with that alone which counts, with noise of a color."""
+    """Likelihoods of lines of forces: noise in common whole, where it counts, and with noise of a color."""
     found, forces, bands = [np.zeros(5) for _ in range(3)], force_lines(kernels), np.array([0, 12, 24, 36, 40])
     for share, one in zip((0.0, 1e-3), found[:2], strict=True):
         kernels.likeliest_levels(forces._replace(share=share), bands, 8, 1e-9, one)
