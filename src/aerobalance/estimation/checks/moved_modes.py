@@ -78,6 +78,9 @@ class MovedModeSettings:
         Gain in log-likelihood that its move must bring at least, over the dynamics as they are.
     alone_clear
         Share of the ordinates about both frequencies that are clear of noise and leakage, from which they are asked.
+    alone_fewest
+        Ordinates within twice the move either side of the mode from which it is resolved: a move by four of them, as a
+        window spreads a line over two either side.
     alone_open_from, alone_decisive
         Gain over a narrow band of one load from which on the record leaves it open whether the mode has moved, and
         from which on it is believed. Between them its odds are those of the likelihoods, though such a load has one
@@ -111,6 +114,7 @@ class MovedModeSettings:
     alone_shifts: tuple[float, ...] = (0.01, 0.02, 0.03, 0.045, 0.06, 0.08)
     alone_least: float = 5.0
     alone_clear: float = 0.9
+    alone_fewest: int = 16
     alone_open_from: float = 0.0
     alone_decisive: float = 4.0
     load_places: tuple[float, ...] = tuple(0.01 * place for place in range(-9, 10))
@@ -335,7 +339,8 @@ def moved_alone(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherShap
         moved = _closer(about, own, place, tried[int(np.argmax(gains))])
         shift, damping = moved.changes[place]
         between = np.abs(np.log(about.frequency / mode.natural_frequency)) < 2 * abs(shift)
-        clear = bool(between.any()) and float(np.mean((about.shown & about.clear)[between])) >= SETTINGS.alone_clear
+        resolved = np.count_nonzero(between) >= SETTINGS.alone_fewest
+        clear = resolved and float(np.mean((about.shown & about.clear)[between])) >= SETTINGS.alone_clear
         if not clear or abs(damping) >= SETTINGS.as_damped or gain_of_one(moved) < SETTINGS.alone_least:
             continue
         gain = _gain_over_a_narrow_load(about, moved, mode.natural_frequency)
