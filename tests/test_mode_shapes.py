@@ -459,6 +459,7 @@ def moves(force: Force) -> set[str]:
     [("moved", 3), ("narrow", 2), ("narrow", 3)],
     ids=["90 Hz", "narrow at 40 Hz", "narrow at 90 Hz"],
 )
+@pytest.mark.soak(first=2)
 def test_one_mode_that_has_moved_is_told_from_a_narrow_load(what: str, place: int, rng) -> None:
     """Modes moved together were looked for, and one alone by a reading whose damping is the decoupled component's.
 
@@ -475,6 +476,7 @@ def test_one_mode_that_has_moved_is_told_from_a_narrow_load(what: str, place: in
 
 
 @pytest.mark.parametrize("seed", [0, 5])
+@pytest.mark.soak(first=1)
 def test_a_load_that_falls_steeply_at_a_mode_moves_it_nowhere(seed: int) -> None:
     """Twenty seconds of turbulence on sound dynamics, which falls as f^-7 at the mode of 600 Hz.
 
@@ -489,6 +491,7 @@ def test_a_load_that_falls_steeply_at_a_mode_moves_it_nowhere(seed: int) -> None
 
 
 @pytest.mark.parametrize("seed", [302, 304, 314])
+@pytest.mark.soak(first=1)
 def test_one_mode_is_told_by_few_ordinates(seed: int) -> None:
     """One of 40 Hz, whose width and that of its hole are few ordinates of 8 s, by a likelihood ratio of e^6 and more.
 
@@ -502,6 +505,7 @@ def test_one_mode_is_told_by_few_ordinates(seed: int) -> None:
 @pytest.mark.parametrize(
     ("seed", "gap", "missing"), [(2, (0.45, 0.55), range(6)), (4, (0.4, 0.6), [2])], ids=["in all", "in SF"]
 )
+@pytest.mark.soak(first=1)
 def test_what_fills_a_long_gap_is_no_ringing(seed: int, gap: tuple[float, float], missing: Iterable[int]) -> None:
     """Two of six records of 4 s with a gap, of which what was filled made exchanged channels and other signs."""
     dynamics, rng = wide(), np.random.default_rng(seed)
@@ -518,6 +522,7 @@ def test_what_fills_a_long_gap_is_no_ringing(seed: int, gap: tuple[float, float]
 
 
 @pytest.mark.parametrize(("samples", "moved_by"), [(4000, 0.005), (64_000, 0.0)], ids=["2 s", "32 s"])
+@pytest.mark.soak(first=1)
 def test_natural_frequencies_that_a_record_does_not_tell_are_assumed(samples: int, moved_by: float, rng) -> None:
     """Half a percent of all is seen by nothing in 2 s: the force by the balance's own dynamics differs by as much."""
     dynamics = wide()
@@ -542,6 +547,7 @@ def test_natural_frequencies_that_a_record_does_not_tell_are_assumed(samples: in
 
 
 @pytest.mark.parametrize("seed", [1, 5])
+@pytest.mark.soak(first=1)
 def test_what_sines_leave_of_the_noise_is_no_mode_that_has_moved(seed: int) -> None:
     """Decoupled, a component may have a resonance as broad as the noise between the tones: of 1 that was one."""
     rng, clock = np.random.default_rng(seed), replace(SIX, rate=1000.0, samples=20_000, fine=8)
