@@ -18,7 +18,9 @@ COMPILED := build/.compiled
 KERNELS := $(shell find src -name '_*kernels.py') src/aerobalance/recording/compiled.py
 ROUNDS ?= 3
 BENCH := OMP_NUM_THREADS=1 $(BIN)/python -m pytest tests/benchmarks -o addopts="" --benchmark-disable -q
-TEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal
+# one more than processors: tests of the command line and of pages wait for other processes a third of their time
+WORKERS := $(shell $(PYTHON) -c "import os; print((os.cpu_count() or 1) + 1)")
+TEST := OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n $(WORKERS) --dist worksteal
 
 .PHONY: demo test soak check types lint bench faults coverage mutants docs pins clean prepared
 
