@@ -73,6 +73,41 @@ class Scoring(NamedTuple):
 
 
 @compiled(inner=True)
+def begin_band(forces: ForceLines, first: int, last: int, level: Floats, common: Complexes) -> int:
+    """Return how many ordinates of a band count, and write what the search for its levels begins with.
+
+    Parameters
+    ----------
+    forces
+        The lines.
+    first, last
+        The ordinates are those from the first up to the last, without that.
+    level
+        Takes all that the band has as density of each force, its first n of shape (n,) or (2 n,).
+    common
+        Takes the lower half of the covariance of the noise in the lines, shape (last - first, n, n).
+    """
+    count, told = forces.lines.shape[0], 0
+    for i in range(count):
+        level[i] = 0.0
+    for place in range(first, last):
+        if not forces.told[place]:
+            continue
+        told += 1
+        for i in range(count):
+            line = forces.lines[i, place]
+            level[i] += (line.real**2 + line.imag**2) / forces.gain[i, place]
+            for j in range(i + 1):
+                both = 0j
+                for k in range(count):
+                    both += forces.rows[place, i, k] * forces.noise[k] * np.conj(forces.rows[place, j, k])
+                common[place - first, i, j] = both
+    for i in range(count):
+        level[i] /= max(told, 1)
+    return told
+
+
+@compiled(inner=True)
 def score_levels(level: Floats, forces: ForceLines, first: int, last: int, common: Complexes, room: Scoring) -> float:
     """Return the log-likelihood of lines at some ordinates, and write what scoring needs.
 
@@ -232,24 +267,9 @@ def likeliest_levels(forces: ForceLines, bands: Integers, steps: int, enough: fl
     for band in range(bands.size):
         first, last = bands[band], bands[band + 1] if band + 1 < bands.size else ordinates
         common = np.empty((last - first, count, count), np.complex128)
-        level[:] = 0.0
-        told = 0
-        for place in range(first, last):
-            if not forces.told[place]:
-                continue
-            told += 1
-            for i in range(count):
-                line = forces.lines[i, place]
-                level[i] += (line.real**2 + line.imag**2) / forces.gain[i, place]
-                for j in range(i + 1):
-                    both = 0j
-                    for k in range(count):
-                        both += forces.rows[place, i, k] * forces.noise[k] * np.conj(forces.rows[place, j, k])
-                    common[place - first, i, j] = both
         found[band] = 0.0
-        if not told:
+        if not begin_band(forces, first, last, level, common):
             continue
-        level /= told
         most = -np.inf
         for taken in range(steps):
             now = score_levels(level, forces, first, last, common, room)
@@ -399,25 +419,15 @@ def likeliest_levels_and_noise(
     for band in range(bands.size):
         first, last = bands[band], bands[band + 1] if band + 1 < bands.size else ordinates
         common = np.empty((last - first, count, count), np.complex128)
-        level[:] = 0.0
-        told = 0
-        for place in range(first, last):
-            if not forces.told[place]:
-                continue
-            told += 1
-            for i in range(count):
-                line = forces.lines[i, place]
-                level[i] += (line.real**2 + line.imag**2) / forces.gain[i, place]
-                level[count + i] += power[i, place]
-                for j in range(i + 1):
-                    both = 0j
-                    for k in range(count):
-                        both += forces.rows[place, i, k] * forces.noise[k] * np.conj(forces.rows[place, j, k])
-                    common[place - first, i, j] = both
         found[band] = 0.0
+        told = begin_band(forces, first, last, level, common)
         if not told:
             continue
-        level /= told
+        for i in range(count):
+            level[count + i] = 0.0
+            for place in range(first, last):
+                if forces.told[place]:
+                    level[count + i] += power[i, place] / told
         most, damping, still = -np.inf, search.damping, 0
         for _ in range(search.steps):
             now = score_levels_and_noise(level, forces, first, last, common, room)
