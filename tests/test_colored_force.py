@@ -5,19 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from aerobalance.estimation.checks.noise_level import departure_of
 from aerobalance.estimation.component_force import noise_of_component
 from aerobalance.estimation.force import estimate_force, force_record
 from aerobalance.estimation.live.live_force import LiveForce
 from aerobalance.estimation.prior import Observation
 from aerobalance.estimation.signal_model import SAME_LINE, SAME_NOISE, _differ
-from aerobalance.estimation.spectra.noise_floor import (
-    GRID,
-    _apart,
-    _Explanation,
-    _left_open,
-    departure_of,
-    lasts,
-)
+from aerobalance.estimation.spectra.noise_candidates import beyond_a_gap
+from aerobalance.estimation.spectra.noise_floor import GRID, _Explanation, _left_open, lasts
 from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, Hump, NoiseSpectrum
 from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum
 from aerobalance.estimation.spectra.whittle import SpectrumFit, expected_noise
@@ -351,12 +346,13 @@ def test_a_line_of_a_force_beyond_a_gap_is_no_noise():
     periodogram = Periodogram.of(reading.values, T128, interval=1 / RATE)
     levels = np.array([20.0, 0.0, 1.0, 0.0])
     band, line = (
-        _apart(Spectrum(np.array([40.0, *edges, 800.0]), levels), periodogram) for edges in ((257, 400), (179, 181))
+        beyond_a_gap(Spectrum(np.array([40.0, *edges, 800.0]), levels), periodogram)
+        for edges in ((257, 400), (179, 181))
     )
     assert not line.any()
     # from where the balance weakens the force on: 2^1/2 times its natural frequency
     assert periodogram.frequency[band][0] == pytest.approx(2**0.5 * T128.natural_frequency, rel=0.01)
-    assert not _apart(Spectrum(np.array([400.0, 800.0]), levels[2:]), periodogram).any()
+    assert not beyond_a_gap(Spectrum(np.array([400.0, 800.0]), levels[2:]), periodogram).any()
 
 
 def test_expected_density_of_a_noise_is_the_mean_of_its_likelihood(rng):

@@ -14,33 +14,33 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import softmax
 
 from aerobalance.estimation.prior import (
     BESIDE_A_GAP,
     Observation,
-    evidence_of_prior,
-    fit_prior,
     periodogram_of,
 )
-from aerobalance.estimation.spectra.noise_ordinates import Ordinates
-from aerobalance.estimation.spectra.noise_record import likeliest_humps
+from aerobalance.estimation.spectra.noise_candidates import (
+    DIFFERENT,
+    FEWEST_ORDINATES,
+    SMOOTH,
+    NoiseCandidate,
+    beyond_a_gap,
+    noise_candidates,
+)
 from aerobalance.estimation.spectra.noise_spectrum import ShapedNoise
-from aerobalance.estimation.spectra.parametric_psd import fit_roll_offs
 from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum, share_seen
 from aerobalance.estimation.spectra.piecewise_psd import (
     CHANGE_EVIDENCE,
-    LEAK,
     WEAKENED,
     NoiseLevels,
     fit_noise_levels,
-    sharpened,
 )
 from aerobalance.estimation.spectra.whittle import (
     SpectrumFit,
@@ -60,51 +60,14 @@ from aerobalance.recording.resampling import interpolate_gaps_linearly
 DECISIVE: Final = 10.0
 """Gain in log-likelihood that a force must bring over the color of the noise: by itself, noise is likelier."""
 
-DIFFERENT: Final = 1.5
-"""Ratio of largest to least density of a noise below which it is taken for white: u is then right to a fifth."""
-
-STATED_EVIDENCE: Final = 25.0
-"""Gain in log-likelihood of the innovations for which the level of a run's noise is that of the run, where its channel
-states another: a force that reaches half the sampling rate looks like noise by its level alone."""
-
-NO_NOISE: Final = 1e-6
-"""Noise over the largest reading below which they are computed: what is stated of their noise then holds."""
-
-FAST: Final = 0.375
-"""Frequency over the sampling rate from which on it is looked whether noise above what was stated lasts all along."""
-
-DEPARTURE: Final = 0.2
-"""Logarithm of the ratio of powers above which the noise of a run differs from that of the record of noise."""
-
-FEWEST_ORDINATES: Final = 64
-"""Independent ordinates above the natural frequency from which on a noise floor is estimated."""
-
 BLOCKS: Final = 16
 """Parts of a record whose powers are compared."""
-
-CONTINUED: Final = 2
-"""Levels of a noise, from the lowest frequency that shows it, that are tried for all frequencies below them."""
-
-NEXT: Final = 0.1
-"""Square of the response down to which such a level is looked for: up to twice the natural frequency."""
-
-NARROW: Final = 0.1
-"""Distance from the highest level of a noise, over its frequency, at which it is asked whether that is a resonance."""
-
-STANDS_OUT: Final = 3.0
-"""Density there, over that on either side, from which on it is: an edge of a band has its level on one side."""
 
 LASTING: Final = 0.5
 """Median over mean of the parts' powers beyond white noise, below which the excess is not stationary."""
 
-NO_WEIGHT: Final = 1e-9
-"""Weight of averages that are left out of a fit."""
-
 GRID: Final = 8192
 """Frequencies at which spectra are compared."""
-
-SMOOTH: Final = 1.5
-"""Numbers of a smooth part of a spectrum over those of a change, its level and its edge."""
 
 MARGIN: Final = 0.02
 """Share of an error's power on either side of the band that is named."""
@@ -214,25 +177,15 @@ def with_floor(reading: Observation, *, left: Array) -> tuple[Observation, Floor
         left, first=rising, interval=reading.interval, noise=np.sqrt(starts[0] / reading.interval)
     ):
         reading = replace(reading, rising=True)
-    levels = [
-        one
-        for one in found
-        if one.density.max() > DIFFERENT * one.density.min() and not _rings(one, periodogram.frequency)
-    ]
-    priced = [
-        (one, _with_edges(one, periodogram), CHANGE_EVIDENCE * int(np.count_nonzero(np.diff(one.density))))
-        for one in (*levels, *(other for one in levels for other in _continued(one, periodogram)))
-    ]
     fits = fit_spectra(periodogram, noise_density=given, floor=least, rising=reading.rising)
     forces = [_force_in_white(reading, periodogram, fit, share=share, known=given is not None) for fit in fits]
     force = forces[fits.index(likeliest_of(fits))]
-    apart = _apart(force.force, periodogram)
-    for where in (*(one.seen for one in levels), apart):
-        priced += _smooth(periodogram, where, least=given or least)
+    apart = beyond_a_gap(force.force, periodogram)
+    tried = noise_candidates(periodogram, found, apart, least=given or least)
     others = [one for one in forces if _is_other(one, force)]
-    if not priced:
+    if not tried:
         return reading, _left_open(reading, force, others)
-    color, noise = _likeliest(reading, periodogram, priced)
+    color, noise = _likeliest(reading, periodogram, tried)
     if not lasts(left, first=color.first, last=color.last, interval=reading.interval, noise=color.white):
         return reading, None
     # by itself, what is there beyond a gap in the spectrum of the force is likelier to be noise
@@ -306,113 +259,8 @@ def _left_open(reading: Observation, taken: _Explanation, others: Sequence[_Expl
     )
 
 
-def _continued(found: NoiseLevels, periodogram: Periodogram) -> Iterator[NoiseLevels]:
-    """The same with one of the lowest levels that are seen above the natural frequency for all frequencies below it.
-
-    Below that a faint force takes up what the noise is too low by, and the noise is then found too low.
-    """
-    places = np.flatnonzero(found.seen & (periodogram.gain < WEAKENED) & (periodogram.gain > NEXT))
-    changes = np.flatnonzero(np.diff(found.density[places])) + 1
-    for place in places[np.append(0, changes)[:CONTINUED]] if places.size else ():
-        density = np.where(np.arange(found.density.size) < place, found.density[place], found.density)
-        if density.max() > DIFFERENT * density.min():  # else it is white
-            yield replace(found, density=density)
-
-
-def _rings(found: NoiseLevels, frequency: Array) -> bool:
-    """Whether the highest level is a peak as narrow as that of a mode, which noise of electronics does not have."""
-    place = int(np.argmax(found.density))
-    centre, highest = float(frequency[place]), float(found.density[place])
-    beside = np.interp(centre * np.array([1 - NARROW, 1 + NARROW]), frequency, found.density)
-    return bool(highest > STANDS_OUT * float(beside.max()))
-
-
-def _apart(force: Spectrum, periodogram: Periodogram) -> NDArray[np.bool_]:
-    """Where the balance weakens a force that begins again beyond a gap of its spectrum, the gap included, (m,).
-
-    A line is none: noise of electronics is broad.
-    """
-    nowhere = np.zeros(periodogram.gain.size, dtype=np.bool_)
-    gaps = np.flatnonzero(force.levels[:-1] == 0)
-    if not gaps.size:
-        return nowhere
-    begins = float(force.edges[gaps[-1]])
-    ends = float(force.edges[np.flatnonzero(force.levels)[-1]])
-    if ends - begins < 2 * NARROW * begins:
-        return nowhere
-    first = float(force.edges[gaps[-1] - 1]) if gaps[-1] else 0.0
-    return (periodogram.gain < WEAKENED) & (periodogram.frequency > first + periodogram.step * LEAK)
-
-
-def _without_balance(periodogram: Periodogram, where: NDArray[np.bool_]) -> Periodogram:
-    """The same for what the balance does not weaken, with only some of its averages, shape (m,)."""
-    return replace(
-        periodogram,
-        gain=np.ones(where.size),
-        folded_gain=np.ones(where.size),
-        weight=np.where(where, periodogram.weight, NO_WEIGHT),
-        ordinates=np.stack([*periodogram.ordinates[:2], np.ones(periodogram.ordinates.shape[1])]),
-        input_density=0.0,
-        color=np.repeat(periodogram.background(0.0), periodogram.count),
-        gains_above={},
-    )
-
-
-def _with_edges(found: NoiseLevels, periodogram: Periodogram) -> Array:
-    """Density of levels, their edges placed as those of a force are and seen through the same window, shape (m,)."""
-    alone = _without_balance(periodogram, found.seen)
-    last = np.append(np.flatnonzero(np.diff(found.density)), found.density.size - 1)
-    edges = (alone.frequency[last] + alone.frequency[np.minimum(last + 1, found.density.size - 1)]) / 2
-    edges[-1] = 0.5 / periodogram.interval
-    white = float(found.density.min())
-    return alone.load(sharpened(Spectrum(edges, found.density[last] - white), alone, white)) + white
-
-
-def _smooth(
-    periodogram: Periodogram, where: NDArray[np.bool_], *, least: float
-) -> Iterator[tuple[NoiseLevels, Array, float]]:
-    """Noise with broad humps, and noise that rolls off, fitted to some averages, with the price of either.
-
-    What is smooth needs many levels, and then a force, which the balance makes fall by itself, may need fewer.
-
-    Parameters
-    ----------
-    periodogram
-        Of the reading.
-    where
-        Averages that show noise and no force, shape (m,).
-    least
-        Least density of the white noise as the periodogram sees it [N^2/Hz].
-    """
-    if float(np.sum(periodogram.weight[where])) < FEWEST_ORDINATES:
-        return
-    frequency = periodogram.frequency
-    seen = Ordinates(
-        frequency[where],
-        periodogram.density[where],
-        periodogram.weight[where],
-        periodogram.gain[where],
-        periodogram.background(0.0)[where],
-        periodogram.interval,
-        (),
-    )
-    white, humps = likeliest_humps(seen)
-    smooth = white + sum((one.sampled(frequency, periodogram.interval) for one in humps), np.zeros(where.size))
-    found = [(smooth, len(humps))]
-    alone = _without_balance(periodogram, where)
-    start = float(np.min(quiet_levels(alone)))
-    found += [(alone.load(one) + white, 1) for one, white in fit_roll_offs(alone, [start], floor=least)]
-    first = int(np.flatnonzero(where)[0])
-    for density, parts in found:
-        # below what shows it it goes on as it is there, as levels do
-        flat = np.maximum(np.where(np.arange(where.size) < first, density[first], density), least)
-        noise = NoiseLevels(flat, where)
-        if flat[where].max() > DIFFERENT * flat.min() and not _rings(noise, frequency):
-            yield noise, flat, SMOOTH * CHANGE_EVIDENCE * parts
-
-
 def _likeliest(
-    reading: Observation, periodogram: Periodogram, found: Sequence[tuple[NoiseLevels, Array, float]]
+    reading: Observation, periodogram: Periodogram, found: Sequence[NoiseCandidate]
 ) -> tuple[_Color, _Explanation]:
     """The likeliest of some noises that are not white, with the force beside it.
 
@@ -487,39 +335,3 @@ def lasts(left: Array, *, first: float, interval: float, noise: float, last: flo
     # the variance of a part scatters by 1 / sqrt(its ordinates), the median of n such by 1.25 / sqrt(n) of that
     scatter = 1.25 * middle / np.sqrt(ordinates)
     return bool(middle - white > LASTING * (power.mean() - white) - 3 * scatter)
-
-
-def departure_of(reading: Observation, *, stated: bool = False) -> float | None:
-    """Power of a run's white noise over that of the noise that was given for it [1]; None where they agree.
-
-    Where they do not, the noise of the run has to be learned from the run: if it were taken as given, what is beyond
-    it would be taken for force.
-
-    Parameters
-    ----------
-    reading
-        The run, with the noise that was given.
-    stated
-        Whether that is a number, and not from a record of noise: the run must then be clearly likelier without it.
-    """
-    if reading.noise is None:
-        return None
-    constant = np.ones((reading.values.size, 1))
-    own = replace(reading, noise=None)
-    free = fit_prior(own, columns=constant)
-    ratio = (free.noise / max(reading.noise, reading.least_noise)) ** 2
-    chance = float(np.sqrt(2 / np.count_nonzero(reading.present)))
-    if abs(np.log(ratio)) < max(DEPARTURE, 6 * chance):
-        return None
-    if stated:
-        if free.noise < NO_NOISE * float(np.nanmax(np.abs(reading.values))):
-            return None
-        left = interpolate_gaps_linearly(reading.values, beside=BESIDE_A_GAP)
-        first = FAST / reading.interval
-        if ratio > 1 and not lasts(left, first=first, interval=reading.interval, noise=reading.noise):
-            return None
-        held = fit_prior(reading, columns=constant)
-        gain = evidence_of_prior(own, free, columns=constant) - evidence_of_prior(reading, held, columns=constant)
-        if gain < STATED_EVIDENCE:
-            return None
-    return ratio

@@ -1,0 +1,203 @@
+"""Noises that are not white and may be what a record shows far above the natural frequency of its balance.
+
+They are levels between edges, the same going on below the lowest that is seen, and smooth ones: humps, and a roll-off.
+Each has a price: what is smooth needs few numbers, and levels need one for each change.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from aerobalance.estimation.spectra.noise_ordinates import Ordinates
+from aerobalance.estimation.spectra.noise_record import likeliest_humps
+from aerobalance.estimation.spectra.parametric_psd import fit_roll_offs
+from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum
+from aerobalance.estimation.spectra.piecewise_psd import (
+    CHANGE_EVIDENCE,
+    LEAK,
+    WEAKENED,
+    NoiseLevels,
+    sharpened,
+)
+from aerobalance.estimation.spectra.whittle import quiet_levels
+from aerobalance.recording.channel import Array
+
+DIFFERENT: Final = 1.5
+"""Ratio of largest to least density of a noise below which it is taken for white: u is then right to a fifth."""
+
+FEWEST_ORDINATES: Final = 64
+"""Independent ordinates above the natural frequency from which on a noise floor is estimated."""
+
+CONTINUED: Final = 2
+"""Levels of a noise, from the lowest frequency that shows it, that are tried for all frequencies below them."""
+
+NEXT: Final = 0.1
+"""Square of the response down to which such a level is looked for: up to twice the natural frequency."""
+
+NARROW: Final = 0.1
+"""Distance from the highest level of a noise, over its frequency, at which it is asked whether that is a resonance."""
+
+STANDS_OUT: Final = 3.0
+"""Density there, over that on either side, from which on it is: an edge of a band has its level on one side."""
+
+NO_WEIGHT: Final = 1e-9
+"""Weight of averages that are left out of a fit."""
+
+SMOOTH: Final = 1.5
+"""Numbers of a smooth part of a spectrum over those of a change, its level and its edge."""
+
+
+class NoiseCandidate(NamedTuple):
+    """A noise that is not white.
+
+    Attributes
+    ----------
+    noise
+        The noise.
+    density
+        The same as a periodogram shows it, shape (m,) [N^2/Hz].
+    price
+        Price of its numbers in log-likelihood [1].
+    """
+
+    noise: NoiseLevels
+    density: Array
+    price: float
+
+
+def noise_candidates(
+    periodogram: Periodogram, found: Sequence[NoiseLevels], apart: NDArray[np.bool_], *, least: float
+) -> list[NoiseCandidate]:
+    """Return the noises that are not white which may be what a record shows, each with its price.
+
+    Parameters
+    ----------
+    periodogram
+        Of the reading.
+    found
+        Levels of its noise, from several densities beside a force (`fit_noise_levels`).
+    apart
+        Averages beyond a gap in the spectrum of the force, shape (m,) (`beyond_a_gap`).
+    least
+        Least density of the white noise as the periodogram sees it [N^2/Hz].
+    """
+    levels = [
+        one
+        for one in found
+        if one.density.max() > DIFFERENT * one.density.min() and not _rings(one, periodogram.frequency)
+    ]
+    tried = [
+        NoiseCandidate(one, _with_edges(one, periodogram), CHANGE_EVIDENCE * np.count_nonzero(np.diff(one.density)))
+        for one in (*levels, *(other for one in levels for other in _continued(one, periodogram)))
+    ]
+    for where in (*(one.seen for one in levels), apart):
+        tried += _smooth(periodogram, where, least=least)
+    return tried
+
+
+def _continued(found: NoiseLevels, periodogram: Periodogram) -> Iterator[NoiseLevels]:
+    """The same with one of the lowest levels that are seen above the natural frequency for all frequencies below it.
+
+    Below that a faint force takes up what the noise is too low by, and the noise is then found too low.
+    """
+    places = np.flatnonzero(found.seen & (periodogram.gain < WEAKENED) & (periodogram.gain > NEXT))
+    changes = np.flatnonzero(np.diff(found.density[places])) + 1
+    for place in places[np.append(0, changes)[:CONTINUED]] if places.size else ():
+        density = np.where(np.arange(found.density.size) < place, found.density[place], found.density)
+        if density.max() > DIFFERENT * density.min():  # else it is white
+            yield replace(found, density=density)
+
+
+def _rings(found: NoiseLevels, frequency: Array) -> bool:
+    """Whether the highest level is a peak as narrow as that of a mode, which noise of electronics does not have."""
+    place = int(np.argmax(found.density))
+    centre, highest = float(frequency[place]), float(found.density[place])
+    beside = np.interp(centre * np.array([1 - NARROW, 1 + NARROW]), frequency, found.density)
+    return bool(highest > STANDS_OUT * float(beside.max()))
+
+
+def beyond_a_gap(force: Spectrum, periodogram: Periodogram) -> NDArray[np.bool_]:
+    """Return where the balance weakens a force that begins again beyond a gap of its spectrum, the gap included, (m,).
+
+    A line is none: noise of electronics is broad.
+    """
+    nowhere = np.zeros(periodogram.gain.size, dtype=np.bool_)
+    gaps = np.flatnonzero(force.levels[:-1] == 0)
+    if not gaps.size:
+        return nowhere
+    begins = float(force.edges[gaps[-1]])
+    ends = float(force.edges[np.flatnonzero(force.levels)[-1]])
+    if ends - begins < 2 * NARROW * begins:
+        return nowhere
+    first = float(force.edges[gaps[-1] - 1]) if gaps[-1] else 0.0
+    return (periodogram.gain < WEAKENED) & (periodogram.frequency > first + periodogram.step * LEAK)
+
+
+def _without_balance(periodogram: Periodogram, where: NDArray[np.bool_]) -> Periodogram:
+    """The same for what the balance does not weaken, with only some of its averages, shape (m,)."""
+    return replace(
+        periodogram,
+        gain=np.ones(where.size),
+        folded_gain=np.ones(where.size),
+        weight=np.where(where, periodogram.weight, NO_WEIGHT),
+        ordinates=np.stack([*periodogram.ordinates[:2], np.ones(periodogram.ordinates.shape[1])]),
+        input_density=0.0,
+        color=np.repeat(periodogram.background(0.0), periodogram.count),
+        gains_above={},
+    )
+
+
+def _with_edges(found: NoiseLevels, periodogram: Periodogram) -> Array:
+    """Density of levels, their edges placed as those of a force are and seen through the same window, shape (m,)."""
+    alone = _without_balance(periodogram, found.seen)
+    last = np.append(np.flatnonzero(np.diff(found.density)), found.density.size - 1)
+    edges = (alone.frequency[last] + alone.frequency[np.minimum(last + 1, found.density.size - 1)]) / 2
+    edges[-1] = 0.5 / periodogram.interval
+    white = float(found.density.min())
+    return alone.load(sharpened(Spectrum(edges, found.density[last] - white), alone, white)) + white
+
+
+def _smooth(periodogram: Periodogram, where: NDArray[np.bool_], *, least: float) -> Iterator[NoiseCandidate]:
+    """Noise with broad humps, and noise that rolls off, fitted to some averages.
+
+    What is smooth needs many levels, and then a force, which the balance makes fall by itself, may need fewer.
+
+    Parameters
+    ----------
+    periodogram
+        Of the reading.
+    where
+        Averages that show noise and no force, shape (m,).
+    least
+        Least density of the white noise as the periodogram sees it [N^2/Hz].
+    """
+    if float(np.sum(periodogram.weight[where])) < FEWEST_ORDINATES:
+        return
+    frequency = periodogram.frequency
+    seen = Ordinates(
+        frequency[where],
+        periodogram.density[where],
+        periodogram.weight[where],
+        periodogram.gain[where],
+        periodogram.background(0.0)[where],
+        periodogram.interval,
+        (),
+    )
+    white, humps = likeliest_humps(seen)
+    smooth = white + sum((one.sampled(frequency, periodogram.interval) for one in humps), np.zeros(where.size))
+    found = [(smooth, len(humps))]
+    alone = _without_balance(periodogram, where)
+    start = float(np.min(quiet_levels(alone)))
+    found += [(alone.load(one) + white, 1) for one, white in fit_roll_offs(alone, [start], floor=least)]
+    first = int(np.flatnonzero(where)[0])
+    for density, parts in found:
+        # below what shows it it goes on as it is there, as levels do
+        flat = np.maximum(np.where(np.arange(where.size) < first, density[first], density), least)
+        noise = NoiseLevels(flat, where)
+        if flat[where].max() > DIFFERENT * flat.min() and not _rings(noise, frequency):
+            yield NoiseCandidate(noise, flat, SMOOTH * CHANGE_EVIDENCE * parts)
