@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.noise_level import departure_of
 from aerobalance.estimation.component_force import noise_of_component
 from aerobalance.estimation.force import estimate_force, force_record
@@ -31,14 +33,16 @@ def record_of(values: np.ndarray, *, rate: float = RATE, noise: float | None = N
     return Recording.from_columns(time, {"AF": Channel("AF", values, "N", noise=noise)}, name="run")
 
 
-def load_of_band(generator: np.random.Generator, edge: float, *, rms: float) -> tuple[np.ndarray, np.ndarray]:
+def load_of_band(
+    generator: np.random.Generator, edge: float, *, rms: float, dynamics: Dynamics = T128
+) -> tuple[np.ndarray, np.ndarray]:
     """Balance load under a force of flat spectrum up to an edge, and that force."""
     frequency = np.fft.rfftfreq(4 * N, 1 / RATE)
     phasors = generator.normal(size=frequency.size) + 1j * generator.normal(size=frequency.size)
     phasors[frequency > edge] = 0
     phasors *= rms * np.sqrt(4 * N * RATE / (4 * edge))
     phasors[0] = 0
-    felt, force = (np.fft.irfft(part, 4 * N)[:N] for part in (phasors * T128.response(frequency), phasors))
+    felt, force = (np.fft.irfft(part, 4 * N)[:N] for part in (phasors * dynamics.response(frequency), phasors))
     return felt, force
 
 
@@ -138,6 +142,25 @@ def test_a_smooth_hump_is_no_force(seed):
     # 300 ordinates within its width tell a density to 6 %, three of these
     density = found.noise**2 / RATE + found.learned.color.density(np.array([300.0]))
     assert density == pytest.approx(3 * WHITE, rel=0.18)
+
+
+@pytest.mark.parametrize(
+    ("kind", "edge", "true", "known"),
+    [
+        ("missing mode", 200, T128.with_modes(Mode(99.55, 0.008, 0.1)), T128),
+        ("missing mode", 200, T128.with_modes(Mode(152.6, 0.008, -0.03)), T128),
+        ("natural frequency", 100, T128, T128.retuned(frequency=30 / 66.37, damping=1.0)),
+    ],
+)
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+def test_what_other_dynamics_explain_is_no_noise_of_a_color(rng, kind, edge, true, known):
+    """A resonance that the dynamics lack fits a noise of some levels, and itself by far better."""
+    for _ in range(3):
+        felt, _ = load_of_band(rng, edge, rms=200, dynamics=true)
+        found = estimate_force(record_of(felt + rng.normal(0, 2, N)), known)
+        assert found.only.learned.color is None
+        assert kind in [doubt.kind for doubt in found.doubts]
+        assert found.verdict is not Verdict.FIT
 
 
 def test_noise_behind_a_filter_is_no_force(rng):

@@ -9,6 +9,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.checks.resonance import gain_in_white_noise
 from aerobalance.estimation.force_smoother import instant_columns
 from aerobalance.estimation.prior import (
     Observation,
@@ -188,10 +190,10 @@ def _fitted(reading: Observation, mains: _MainsLines, *, hum: Hum, resolution: f
             heights = np.array([0.0, *(step.height for step in steps)])
             known = columns_of(steps, reading)[:, : heights.size]
             mains = _hum_of(reading, reading.values - known @ heights, hum)
-        again, other = _looked_above(replace(reading, hum=tuple(line.frequency for line in mains.hum)), steps)
+        again, floor = _looked_above(replace(reading, hum=tuple(line.frequency for line in mains.hum)), steps)
         again = replace(again, even=named.even)
         if _differ(named, again):
-            named, floor, search = again, other, StepSearch(again)
+            named, search = again, StepSearch(again)
             steps, learned = search.run()
         else:
             named = replace(named, hum=again.hum)
@@ -215,7 +217,14 @@ def _looked_above(reading: Observation, steps: Sequence[Step]) -> tuple[Observat
     others = np.delete(columns, np.arange(1, 1 + len(steps)), axis=1)
     left = reading.filled - columns[:, 1 : 1 + len(steps)] @ np.array([step.height for step in steps])
     sizes, *_ = least_squares(np.where(reading.present, left, 0.0), others * reading.present[:, None])
-    return with_floor(reading, left=left - others @ sizes)
+
+    def other_dynamics(values: Array) -> float:
+        dynamics = reading.dynamics
+        if not isinstance(dynamics, Dynamics):
+            return 0.0  # of components that are coupled all dynamics are asked at once, and not one mode
+        return gain_in_white_noise(values, dynamics, interval=reading.interval, least_noise=reading.least_noise)
+
+    return with_floor(reading, left=left - others @ sizes, other_dynamics=other_dynamics)
 
 
 def _differ(one: Observation, other: Observation) -> bool:

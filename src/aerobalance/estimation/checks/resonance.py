@@ -245,6 +245,32 @@ def spoken_for(
     return clear
 
 
+def gain_in_white_noise(values: Array, dynamics: Dynamics, *, interval: float, least_noise: float) -> float:
+    """Return the gain in log-likelihood of other dynamics over a record's own, the noise being white; 0 for none.
+
+    The price of their numbers is paid. Others are those with a further mode, another natural frequency or damping
+    ratio. They must be likelier than no resonance at all, which lets through whatever noise there is.
+
+    Parameters
+    ----------
+    values, dynamics, interval, least_noise
+        As for `spoken_for`.
+    """
+    evidence = evidence_in(values, interval=interval, least_noise=least_noise, learned=None)
+    none = dynamics.retuned(frequency=SETTINGS.beyond, damping=1.0)
+    peaks = evidence.peaks(dynamics)
+    others = [other for _, other in _others(dynamics, peaks, confirmed=-np.inf)]
+    evidence = replace(evidence, among=(dynamics, none, *others))
+    own, silent = evidence.of(dynamics), evidence.of(none)
+    tried = list(_others(dynamics, peaks, confirmed=own - silent))
+    best = max((evidence.of(other) for _, other in tried), default=own)
+    if best < max(own, silent) + SETTINGS.decisive:
+        return 0.0
+    spoken = _clearest(evidence, dynamics, tried, own=own, best=best - own)
+    clear = spoken is not None and own + spoken.gain >= silent + SETTINGS.decisive
+    return spoken.gain if spoken is not None and clear else 0.0
+
+
 def _clearest(
     evidence: Evidence, dynamics: Dynamics, tried: Sequence[tuple[str, Dynamics]], *, own: float, best: float
 ) -> Spoken | None:

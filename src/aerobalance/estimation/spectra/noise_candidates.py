@@ -22,6 +22,7 @@ from aerobalance.estimation.spectra.piecewise_psd import (
     LEAK,
     WEAKENED,
     NoiseLevels,
+    fit_segments,
     sharpened,
 )
 from aerobalance.estimation.spectra.whittle import quiet_levels
@@ -95,6 +96,7 @@ def noise_candidates(
         NoiseCandidate(one, _with_edges(one, periodogram), CHANGE_EVIDENCE * np.count_nonzero(np.diff(one.density)))
         for one in (*levels, *(other for one in levels for other in _continued(one, periodogram)))
     ]
+    tried += _levels_alone(periodogram, apart, least=least)
     for where in (*(one.seen for one in levels), apart):
         tried += _smooth(periodogram, where, least=least)
     return tried
@@ -155,11 +157,31 @@ def _without_balance(periodogram: Periodogram, where: NDArray[np.bool_]) -> Peri
 def _with_edges(found: NoiseLevels, periodogram: Periodogram) -> Array:
     """Density of levels, their edges placed as those of a force are and seen through the same window, shape (m,)."""
     alone = _without_balance(periodogram, found.seen)
-    last = np.append(np.flatnonzero(np.diff(found.density)), found.density.size - 1)
-    edges = (alone.frequency[last] + alone.frequency[np.minimum(last + 1, found.density.size - 1)]) / 2
-    edges[-1] = 0.5 / periodogram.interval
     white = float(found.density.min())
-    return alone.load(sharpened(Spectrum(edges, found.density[last] - white), alone, white)) + white
+    edges, levels = _edges_of(found, periodogram)
+    return alone.load(sharpened(Spectrum(edges, levels - white), alone, white)) + white
+
+
+def _edges_of(found: NoiseLevels, periodogram: Periodogram) -> tuple[Array, Array]:
+    """Upper edges of the levels of a noise [Hz], and these [N^2/Hz], shape (k,) each."""
+    frequency = periodogram.frequency
+    last = np.append(np.flatnonzero(np.diff(found.density)), found.density.size - 1)
+    edges = (frequency[last] + frequency[np.minimum(last + 1, found.density.size - 1)]) / 2
+    edges[-1] = 0.5 / periodogram.interval
+    return edges, found.density[last]
+
+
+def _levels_alone(periodogram: Periodogram, where: NDArray[np.bool_], *, least: float) -> Iterator[NoiseCandidate]:
+    """Levels of noise where a force may be as well: which of them needs fewer changes is chance where both are few."""
+    if float(np.sum(periodogram.weight[where])) < FEWEST_ORDINATES:
+        return
+    alone = _without_balance(periodogram, where)
+    white = max(float(np.min(quiet_levels(alone))), least)
+    found = fit_segments(alone, white)
+    density = alone.load(found) + white
+    noise = NoiseLevels(density, where)
+    if density[where].max() > DIFFERENT * density[where].min() and not _rings(noise, periodogram.frequency):
+        yield NoiseCandidate(noise, density, CHANGE_EVIDENCE * (found.levels.size - 1))
 
 
 def _smooth(periodogram: Periodogram, where: NDArray[np.bool_], *, least: float) -> Iterator[NoiseCandidate]:

@@ -14,7 +14,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
@@ -57,8 +57,9 @@ from aerobalance.recording.errors import argument
 from aerobalance.recording.fourier import hann
 from aerobalance.recording.resampling import interpolate_gaps_linearly
 
-DECISIVE: Final = 10.0
-"""Gain in log-likelihood that a force must bring over the color of the noise: by itself, noise is likelier."""
+BEYOND_A_GAP: Final = 6.0
+"""Logarithm of how much likelier noise is beforehand where a force would begin again beyond a gap of its spectrum:
+electronics have such humps, and few loads have a second band far above the natural frequency."""
 
 BLOCKS: Final = 16
 """Parts of a record whose powers are compared."""
@@ -150,8 +151,12 @@ class _Explanation(NamedTuple):
     evidence: float
 
 
-def with_floor(reading: Observation, *, left: Array) -> tuple[Observation, Floor | None]:
+def with_floor(
+    reading: Observation, *, left: Array, other_dynamics: Callable[[Array], float]
+) -> tuple[Observation, Floor | None]:
     """The reading with the color of its noise far above the natural frequency, and that noise; None where it is white.
+
+    What a mode shows that the dynamics lack is no color of the noise.
 
     Parameters
     ----------
@@ -159,6 +164,9 @@ def with_floor(reading: Observation, *, left: Array) -> tuple[Observation, Floor
         The record; if the color of its noise is known already, it is returned unchanged.
     left
         The readings without steps and hum as far as they are known, shape (n,) [N].
+    other_dynamics
+        Gives the log-likelihood that other dynamics in white noise gain over those of the reading, of readings
+        without gaps, shape (n,) [N].
     """
     if reading.color is not None:
         return reading, None
@@ -173,6 +181,7 @@ def with_floor(reading: Observation, *, left: Array) -> tuple[Observation, Floor
     found = [fit_noise_levels(periodogram, max(start, least)) for start in starts]
     found = [replace(one, density=np.maximum(one.density, given or least)) for one in found]
     rising = min(one.rising for one in found)
+    plain = reading
     if np.isfinite(rising) and lasts(
         left, first=rising, interval=reading.interval, noise=np.sqrt(starts[0] / reading.interval)
     ):
@@ -181,17 +190,19 @@ def with_floor(reading: Observation, *, left: Array) -> tuple[Observation, Floor
     forces = [_force_in_white(reading, periodogram, fit, share=share, known=given is not None) for fit in fits]
     force = forces[fits.index(likeliest_of(fits))]
     apart = beyond_a_gap(force.force, periodogram)
-    tried = noise_candidates(periodogram, found, apart, least=given or least)
     others = [one for one in forces if _is_other(one, force)]
-    if not tried:
-        return reading, _left_open(reading, force, others)
-    color, noise = _likeliest(reading, periodogram, tried)
-    if not lasts(left, first=color.first, last=color.last, interval=reading.interval, noise=color.white):
-        return reading, None
-    # by itself, what is there beyond a gap in the spectrum of the force is likelier to be noise
-    if noise.evidence < force.evidence - (DECISIVE if apart.any() else 0.0):
-        return reading, _left_open(reading, force, [noise, *others])
-    return replace(reading, color=color.color, noise=color.white), _left_open(reading, noise, [force, *others])
+    tried = noise_candidates(periodogram, found, apart, least=given or least)
+    if tried:
+        color, noise = _likeliest(reading, periodogram, tried)
+        if not lasts(left, first=color.first, last=color.last, interval=reading.interval, noise=color.white):
+            return reading, None
+        if noise.evidence >= force.evidence:
+            if other_dynamics(left) > noise.evidence - force.evidence:
+                return plain, None
+            colored = replace(reading, color=color.color, noise=color.white)
+            return colored, _left_open(reading, noise, [force, *others])
+        others = [noise, *others]
+    return reading, _left_open(reading, force, others)
 
 
 def _grid(reading: Observation) -> Array:
@@ -207,7 +218,7 @@ def _force_in_white(
     if expected < DIFFERENT * fit.noise_density:  # it is known
         expected = fit.noise_density
     likeliest, mean = (np.full(GRID, density / share) for density in (fit.noise_density, expected))
-    return _Explanation(fit.spectrum, likeliest, mean, _evidence_of(fit))
+    return _Explanation(fit.spectrum, likeliest, mean, _evidence_of(fit, periodogram))
 
 
 def _is_other(one: _Explanation, force: _Explanation) -> bool:
@@ -269,25 +280,30 @@ def _likeliest(
     reading, periodogram
         The record.
     found
-        Noises, each with its density as the periodogram shows it, shape (m,), and the price of its numbers.
+        Noises that are tried.
     """
     fits = []
     for _, density, price in found:
         least = float(density.min())
         beyond = np.repeat(density - least, periodogram.count)
         fit = fit_spectrum(replace(periodogram, color=beyond), noise_density=least, rising=reading.rising)
-        fits.append((_evidence_of(fit) - price, fit.spectrum))
+        fits.append((_evidence_of(fit, periodogram) - price, fit.spectrum))
     best = max(range(len(fits)), key=lambda place: fits[place][0])
     noise = _color(reading, periodogram, found[best][0], share=share_seen(reading.present))
     whole = noise.white**2 * reading.interval + noise.color.density(_grid(reading))
     return noise, _Explanation(fits[best][1], whole, whole, fits[best][0])
 
 
-def _evidence_of(fit: SpectrumFit) -> float:
-    """Log-likelihood of a force less the price of its changes of level, with which segments are looked for."""
+def _evidence_of(fit: SpectrumFit, periodogram: Periodogram) -> float:
+    """Log-likelihood of a force less the price of its changes of level, with which segments are looked for.
+
+    Where it begins again beyond a gap it is less likely beforehand.
+    """
     spectrum = fit.spectrum
     changes = SMOOTH if spectrum.roll_off else max(spectrum.levels.size - 1, 0)
-    return fit.log_likelihood - CHANGE_EVIDENCE * changes
+    again = bool(np.any(spectrum.levels[1:-1] == 0))  # and does not only begin there
+    apart = BEYOND_A_GAP if again and beyond_a_gap(spectrum, periodogram).any() else 0.0
+    return fit.log_likelihood - CHANGE_EVIDENCE * changes - apart
 
 
 def _color(reading: Observation, periodogram: Periodogram, found: NoiseLevels, *, share: float) -> _Color:
