@@ -163,6 +163,30 @@ def test_what_other_dynamics_explain_is_no_noise_of_a_color(rng, kind, edge, tru
         assert found.verdict is not Verdict.FIT
 
 
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+def test_noise_that_rises_with_frequency_is_no_force(rng):
+    """As a converter shapes it, by the fourth power, and its filter cuts it off: it is passed as a power of frequency.
+
+    A force that would look like it has six levels. What noise is left of it below 100 Hz is 1 N in a reading, and
+    Wiener's bound for a force of 200 N and 100 Hz in that is found beside it.
+    """
+    frequency = np.linspace(0.1, 100, 1000)
+
+    def shaped(f: np.ndarray) -> np.ndarray:
+        return 1.0 / RATE + 16 / RATE * np.where((f > 400) & (f < 795), (f / 795) ** 4, 0.0)
+
+    seen = 1.0 / RATE / np.abs(T128.response(frequency)) ** 2
+    density = 200**2 / (2 * 100)
+    bound = np.sqrt(2 * 100 * np.mean(density * seen / (density + seen)))
+    for _ in range(3):
+        felt, force = load_of_band(rng, 100, rms=200)
+        found = estimate_force(record_of(felt + noise_of(rng, shaped, n=N)), T128).only
+        inner = slice(N // 20, -N // 20)
+        assert np.std((found.values - force)[inner]) < 1.3 * bound
+        # the edge at 100 Hz is known to an ordinate of 0.2 Hz, of a force of 200 N in 100 Hz 9 N at most in that
+        assert np.sqrt(np.mean(found.uncertainty[inner] ** 2)) < 2 * bound
+
+
 def test_noise_behind_a_filter_is_no_force(rng):
     """White noise that a converter's filter takes off from 250 Hz on, as in any record that is sampled fast."""
     felt, force = load_of_band(rng, 30, rms=500)

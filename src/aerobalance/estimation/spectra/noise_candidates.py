@@ -1,7 +1,8 @@
 """Noises that are not white and may be what a record shows far above the natural frequency of its balance.
 
-They are levels between edges, the same going on below the lowest that is seen, and smooth ones: humps, and a roll-off.
-Each has a price: what is smooth needs few numbers, and levels need one for each change.
+They are levels between edges, the same going on below the lowest that is seen, a power of frequency between edges, as
+a converter leaves it that shapes its noise, and smooth ones: humps, and a roll-off. Each has a price: what is smooth
+needs few numbers, and levels need one for each change.
 """
 
 from __future__ import annotations
@@ -52,6 +53,18 @@ NO_WEIGHT: Final = 1e-9
 SMOOTH: Final = 1.5
 """Numbers of a smooth part of a spectrum over those of a change, its level and its edge."""
 
+EXPONENT: Final = 0.5
+"""Numbers of an exponent over those of a change."""
+
+STEEPEST: Final = 12.0
+"""Largest exponent: converters of the fifth order shape the density of their noise as the tenth power of frequency."""
+
+STEPS: Final = 20
+"""Steps of scoring at most, by which level and exponent are found."""
+
+ENOUGH: Final = 1e-3
+"""Change of both in a step at which they end."""
+
 
 class NoiseCandidate(NamedTuple):
     """A noise that is not white.
@@ -96,6 +109,7 @@ def noise_candidates(
         NoiseCandidate(one, _with_edges(one, periodogram), CHANGE_EVIDENCE * np.count_nonzero(np.diff(one.density)))
         for one in (*levels, *(other for one in levels for other in _continued(one, periodogram)))
     ]
+    tried += [other for one in levels for other in _power_law(one, periodogram)]
     tried += _levels_alone(periodogram, apart, least=least)
     for where in (*(one.seen for one in levels), apart):
         tried += _smooth(periodogram, where, least=least)
@@ -182,6 +196,39 @@ def _levels_alone(periodogram: Periodogram, where: NDArray[np.bool_], *, least: 
     noise = NoiseLevels(density, where)
     if density[where].max() > DIFFERENT * density[where].min() and not _rings(noise, periodogram.frequency):
         yield NoiseCandidate(noise, density, CHANGE_EVIDENCE * (found.levels.size - 1))
+
+
+def _power_law(found: NoiseLevels, periodogram: Periodogram) -> Iterator[NoiseCandidate]:
+    """The same as a power of frequency from the lowest level that is not white up to the highest."""
+    white = float(found.density.min())
+    colored = np.flatnonzero(found.density > DIFFERENT * white)
+    first, last = int(colored[0]), int(colored[-1])
+    if first == 0 or np.ptp(found.density[first : last + 1]) == 0:
+        return  # it goes on below what is seen, or is one level
+    edges, levels = _edges_of(found, periodogram)
+    alone = _without_balance(periodogram, found.seen)
+    edges = sharpened(Spectrum(edges, levels - white), alone, white).edges
+    inside = levels > DIFFERENT * white
+    begin, end = float(edges[np.argmax(inside) - 1]), float(edges[np.flatnonzero(inside)[-1]])
+    band = Spectrum(np.array([begin, end, 0.5 / periodogram.interval]), np.array([0.0, 1.0, 0.0]))
+    shown, ratio = alone.load(band), np.log(np.maximum(periodogram.frequency / begin, 1.0))
+    inside = found.seen & (shown > 0)
+    shapes, weight = np.stack([np.ones_like(ratio), ratio])[:, inside], periodogram.weight[inside]
+    numbers = np.array([np.log(float(found.density[first]) - white), 0.0])
+    for _ in range(STEPS):
+        beyond = shown[inside] * np.exp(numbers @ shapes)
+        model = beyond + white + periodogram.background(0.0)[inside]
+        slopes = shapes * (beyond / model)
+        information = (slopes * weight) @ slopes.T
+        step = np.linalg.solve(information, (slopes * weight) @ (periodogram.density[inside] / model - 1))
+        step = np.clip(step, -1.0, 1.0)
+        numbers[1] = np.clip(numbers[1] + step[1], -STEEPEST, STEEPEST)
+        numbers[0] += step[0]
+        if np.max(np.abs(step)) < ENOUGH:
+            break
+    density = white + shown * np.exp(numbers[0] + numbers[1] * ratio)
+    changes = 1 if last == found.density.size - 1 else 2
+    yield NoiseCandidate(NoiseLevels(density, found.seen), density, CHANGE_EVIDENCE * (changes + EXPONENT))
 
 
 def _smooth(periodogram: Periodogram, where: NDArray[np.bool_], *, least: float) -> Iterator[NoiseCandidate]:

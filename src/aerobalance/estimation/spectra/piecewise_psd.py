@@ -175,8 +175,12 @@ def fit_noise_levels(periodogram: Periodogram, noise: float) -> NoiseLevels:
         for part in hidden:
             table[part, 1:force] = np.inf
     seen = np.zeros(path.size, dtype=np.bool_)
-    for part, mean, noisy in zip(parts, means, noises, strict=True):
-        if noisy and float(np.sum(weight[part])) >= BROAD:
+    around = np.concatenate([[np.inf], means, [np.inf]])
+    fainter = around[1:-1] < np.minimum(
+        around[:-2], around[2:]
+    )  # than both beside it: no line, and nothing that leaks
+    for part, mean, noisy, low in zip(parts, means, noises, fainter, strict=True):
+        if noisy and (low or float(np.sum(weight[part])) >= BROAD):
             found[part], seen[part] = max(mean, 0.0), True
     # a force hides the noise: it is taken for what it is above that, or else below
     shown = periodogram.gain * np.append(levels, np.zeros(count))[path]
