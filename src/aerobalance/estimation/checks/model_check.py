@@ -17,7 +17,7 @@ from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.mode_shapes import shape_doubts
 from aerobalance.estimation.checks.model_error import LEFT_OPEN, as_noise, error_under
-from aerobalance.estimation.checks.not_linear import NotLinear, friction_of, not_linear
+from aerobalance.estimation.checks.not_linear import NotLinear, all_along, friction_of, not_linear
 from aerobalance.estimation.checks.other_dynamics import (
     ModelDoubt,
     other_dynamics_in,
@@ -110,10 +110,9 @@ def checked(force: Force) -> Force:
             parts[name] = _raised(parts[name], found, own, interval=interval)
             if shown.possible is not None:
                 parts[name] = _left_open(parts[name], shown.possible, own, interval=interval, within=shown.within)
-            # damping that is not linear may look like noise of a color; a shock goes with the motion as all of it does
+            # damping that is not linear may look like noise of a color
             colored = "colored noise" in kinds and bent is not None and not bent.of_spring and bent.probability < 1
-            rubs = bent is not None and not bent.of_spring and bent.probability == 1 and bool(force[name].steps)
-            if bent is not None and not found and not colored and (rubs or "unexplained" not in kinds):
+            if bent is not None and not found and not colored and _stands(bent, one, force[name]):
                 parts[name] = _bent(parts[name], one, bent, error)
     return replace(force, parts={name: _without_vague(part) for name, part in parts.items()})
 
@@ -175,6 +174,24 @@ def _not_linear(record: SingleRecord, force: ComponentForce) -> tuple[NotLinear,
     return (bent, error) if _rms(error) > least * _rms(force.uncertainty) else None
 
 
+def _stands(bent: NotLinear, record: SingleRecord, force: ComponentForce) -> bool:
+    """Whether what is not linear is believed although something in the record is not explained.
+
+    A shock goes with the motion as all of it does, but not in every part of the record.
+    """
+    if all(doubt.kind != "unexplained" for doubt in force.doubts):
+        return True
+    if bent.probability < 1:
+        return False
+    if not bent.of_spring:
+        return bool(force.steps)
+    seen = unbroken(record, force.steps, force.hum)
+    if seen is None:
+        return False
+    reading, within = seen
+    return all_along(reading, record.dynamics, bent, left=_less_steps(reading, within) if within else None)
+
+
 def _less_steps(reading: Observation, steps: Sequence[Step]) -> Array:
     """A reading less its steps, of the heights that were found beside the rest of the force, shape (n,) [N].
 
@@ -208,7 +225,9 @@ def _of_a_spring(
     """
     others = [(one, one.other) for one in found if one.other is not None]
     sizes = [_rms(error_under(force, own=own, other=other, interval=interval)) for _, other in others]
-    if not others or _rms(error) < MATTERS * max(sizes):
+    if not others:
+        return []  # a mode of which the record tells no size is the spring's, and its effect is known
+    if _rms(error) < MATTERS * max(sizes):
         return found
     doubt = bent.doubt(own.component, effect=0.0, unit=si_unit(own.component))
     return [replace(others[int(np.argmax(sizes))][0], doubt=doubt)]

@@ -11,7 +11,8 @@ not Gaussian may be coherent with a term: then it is so at other lags as well, w
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -85,6 +86,9 @@ gain is chi-square with one degree of freedom, and is more in 1.4 % of records."
 
 FEWEST: Final = 200
 """Ordinates above the band that are needed at least."""
+
+PARTS: Final = 4
+"""Parts of a record that are each to show it where something in the record is not explained."""
 
 RIGHT_AWAY: Final = 1 / 6
 """Lag of the best match at most, in periods of the balance: a lag beyond it turns the sign of a term's phase."""
@@ -181,6 +185,27 @@ def not_linear(reading: Observation, dynamics: Dynamics, *, left: Array | None =
         if found is not None and (best is None or found[0] > best[0]):
             best = found
     return None if best is None else best[1]
+
+
+def all_along(reading: Observation, dynamics: Dynamics, shown: NotLinear, *, left: Array | None = None) -> bool:
+    """Whether every part of a record by itself shows the same that is not linear, with the same sign.
+
+    What a shock leaves goes with the motion of one part.
+
+    Parameters
+    ----------
+    reading, dynamics, left
+        As for `not_linear`.
+    shown
+        What all of it shows.
+    """
+    edges = np.linspace(0, reading.values.size, PARTS + 1).astype(int)
+    for part in (slice(first, last) for first, last in pairwise(edges)):
+        values = replace(reading, values=reading.values[part])
+        found = not_linear(values, dynamics, left=None if left is None else left[part])
+        if found is None or found.kind != shown.kind or found.size * shown.size <= 0:
+            return False
+    return True
 
 
 def friction_of(size: float, u: float, dynamics: Dynamics) -> NotLinear | None:
