@@ -59,7 +59,15 @@ from aerobalance.recording.resampling import interpolate_gaps_linearly
 
 BEYOND_A_GAP: Final = 6.0
 """Logarithm of how much likelier noise is beforehand where a force would begin again beyond a gap of its spectrum:
-electronics have such humps, and few loads have a second band far above the natural frequency."""
+electronics have such humps, and few loads have a second band far above the natural frequency. And of how much likelier
+a force is at most where that band stands high above the white noise."""
+
+USUAL_HUMP: Final = 100.0
+"""Density of a hump of noise over that of the white noise up to which the first of these holds."""
+
+RARER: Final = 3.0
+"""Power of that ratio by which such humps are rarer above it: those of a thousand times the white noise are no
+likelier than a force, and of ten thousand times there are hardly any."""
 
 BLOCKS: Final = 16
 """Parts of a record whose powers are compared."""
@@ -297,13 +305,17 @@ def _likeliest(
 def _evidence_of(fit: SpectrumFit, periodogram: Periodogram) -> float:
     """Log-likelihood of a force less the price of its changes of level, with which segments are looked for.
 
-    Where it begins again beyond a gap it is less likely beforehand.
+    Where it begins, or begins again, beyond a gap it is likelier or less likely beforehand than noise.
     """
     spectrum = fit.spectrum
     changes = SMOOTH if spectrum.roll_off else max(spectrum.levels.size - 1, 0)
-    again = bool(np.any(spectrum.levels[1:-1] == 0))  # and does not only begin there
-    apart = BEYOND_A_GAP if again and beyond_a_gap(spectrum, periodogram).any() else 0.0
-    return fit.log_likelihood - CHANGE_EVIDENCE * changes - apart
+    likelihood = fit.log_likelihood - CHANGE_EVIDENCE * changes
+    apart = beyond_a_gap(spectrum, periodogram)
+    if not apart.any():
+        return likelihood
+    above = float(np.max(periodogram.load(spectrum)[apart])) / fit.noise_density
+    noise = BEYOND_A_GAP if np.any(spectrum.levels[1:-1] == 0) else 0.0  # it begins again
+    return likelihood - max(noise - RARER * float(np.log(max(above / USUAL_HUMP, 1.0))), -BEYOND_A_GAP)
 
 
 def _color(reading: Observation, periodogram: Periodogram, found: NoiseLevels, *, share: float) -> _Color:
