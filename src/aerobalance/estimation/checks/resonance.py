@@ -257,10 +257,13 @@ def gain_in_white_noise(values: Array, dynamics: Dynamics, *, interval: float, l
         As for `spoken_for`.
     """
     evidence = evidence_in(values, interval=interval, least_noise=least_noise, learned=None)
+    # what a resonance that they lack makes of a force is stronger than that is elsewhere; most noise is not
+    if replace(evidence, rising=True, _known={}).of(dynamics) < evidence.of(dynamics) + SETTINGS.decisive:
+        return 0.0
     none = dynamics.retuned(frequency=SETTINGS.beyond, damping=1.0)
     peaks = evidence.peaks(dynamics)
     others = [other for _, other in _others(dynamics, peaks, confirmed=-np.inf)]
-    evidence = replace(evidence, among=(dynamics, none, *others))
+    evidence = replace(evidence, among=(dynamics, none, *others), _known={}, _edges=None)
     own, silent = evidence.of(dynamics), evidence.of(none)
     tried = list(_others(dynamics, peaks, confirmed=own - silent))
     best = max((evidence.of(other) for _, other in tried), default=own)
