@@ -213,6 +213,8 @@ def _power_law(found: NoiseLevels, periodogram: Periodogram) -> Iterator[NoiseCa
     band = Spectrum(np.array([begin, end, 0.5 / periodogram.interval]), np.array([0.0, 1.0, 0.0]))
     shown, ratio = alone.load(band), np.log(np.maximum(periodogram.frequency / begin, 1.0))
     inside = found.seen & (shown > 0)
+    if float(np.sum(periodogram.weight[inside])) < FEWEST_ORDINATES or np.ptp(ratio[inside]) == 0:
+        return  # too few to tell a power from a level
     shapes, weight = np.stack([np.ones_like(ratio), ratio])[:, inside], periodogram.weight[inside]
     numbers = np.array([np.log(float(found.density[first]) - white), 0.0])
     for _ in range(STEPS):
