@@ -54,11 +54,12 @@ def effects(force: Force) -> dict[str, float]:
         ("hum of 5 N at 50 Hz that drifts by 0 Hz, 0-100 Hz", "hum", 5 / 2**0.5 / 2),
         # half a percent of the stiffness is a quarter of a percent of the frequency
         ("stiffness 0.5 %, broad, 2.5 s", "natural frequency", 0.5),
+        ("damping 20 %, broad, 2.5 s", "damping ratio", 1.0),
         ("load behind a filter of 640 Hz, step", "load filter", 1.0),
         ("accelerometer 3 deg across, step", "cross-axis", np.degrees(0.05)),
     ],
 )
-@pytest.mark.soak(first=4)
+@pytest.mark.soak(first=5)
 def test_the_effect_is_what_the_fault_does(name, kind, times):
     force, error = tried(CASES[name])
     # to first order, of one realisation: within a third
@@ -78,7 +79,7 @@ def test_a_direct_inverse_assumes_as_much(settings):
     case = CASES["bandwidth 100 Hz, stiffness +5 %, 0-60 Hz"]
     force, _ = tried(replace(case, settings=settings))
     optimal, _ = tried(replace(case, settings={}))
-    assert set(effects(force)) == {"load filter", "gain", "zero drift", "natural frequency"}
+    assert set(effects(force)) == {"load filter", "gain", "zero drift", "natural frequency", "damping ratio"}
     for kind, effect in effects(force).items():
         # of one record, its steps found or not
         assert effect == pytest.approx(effects(optimal)[kind], rel=0.1), kind
@@ -197,9 +198,9 @@ def test_what_is_declared_or_shown_is_not_assumed():
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)  # nothing of it is true
         kinds = set(effects(ab.estimate_force(declared, case.dynamics)))
-    assert kinds <= {"cross-axis", "zero drift", "natural frequency", "colored noise", "hum"}
-    # ringing tells the frequency
-    assert "natural frequency" not in effects(tried(CASES["step alone"])[0])
+    assert kinds <= {"cross-axis", "zero drift", "natural frequency", "damping ratio", "colored noise", "hum"}
+    # ringing tells the frequency and the damping
+    assert not {"natural frequency", "damping ratio"} & set(effects(tried(CASES["step alone"])[0]))
     # so does a covariance that says how far it is off
     vague = dynamics()
     vague = replace(vague, covariance=1e5 * vague.covariance)

@@ -2,7 +2,8 @@
 
 An analog filter before the load channel looks like another force. A gain that is wrong is wrong in everything. An
 accelerometer that looks a degree aside reads a motion that nothing else shows. A natural frequency that is half a
-percent off is seen where something rings, and not under a broad load in a short record.
+percent off is seen where something rings, and not under a broad load in a short record; nor is the damping, to which
+the flow adds its own.
 """
 
 from __future__ import annotations
@@ -47,8 +48,8 @@ class AssumptionSettings:
         Relative error of a gain [1].
     aside
         Angle by which an accelerometer looks aside [rad].
-    frequency
-        Relative error of a natural frequency [1].
+    frequency, damping
+        Relative error of a natural frequency, and of a damping ratio [1].
     angle
         Error of the zero of an angle of the balance [rad].
     mass
@@ -56,8 +57,8 @@ class AssumptionSettings:
     drift
         Change of the zero of a load from the beginning of a record to its end, over the largest load [1].
     matters
-        Effect of an angle's zero, a drift, a natural frequency, or gain and mass of coupled components, over the
-        scatter of the force, from which it is told.
+        Effect of an angle's zero, a drift, a natural frequency or damping ratio, or gain and mass of coupled
+        components, over the scatter of the force, from which it is told.
     told
         Its standard uncertainty by the record, over that, up to which the record tells it.
     first
@@ -72,6 +73,7 @@ class AssumptionSettings:
     gain: float = 0.01
     aside: float = float(np.radians(1.0))
     frequency: float = 0.005
+    damping: float = 0.2
     angle: float = float(np.radians(0.1))
     mass: float = 0.01
     drift: float = 0.001
@@ -257,30 +259,51 @@ def _of_decoupled(record: DecoupledRecord, force: Array, *, least: float) -> Ite
 
 
 def _of_single(record: SingleRecord, fit: SmootherResult, unit: str) -> Iterator[Assumption]:
-    """What is assumed of the gain of a load and of the natural frequency."""
+    """What is assumed of the gain of a load, of the mass, the natural frequency and the damping."""
     name, own = record.dynamics.component, record.dynamics
     acting = own.mass * (record.motion.specific_force + record.motion.gravity_on_zero)
     yield from _of_gain(record.recording, record.recording.channel(name), fit.force - acting, least=0.0)
     if own.uncertainty("mass") == 0:
         yield from _of_mass(own.mass, acting, name, least=0.0)
-    stated = own.uncertainty("natural_frequency") / own.natural_frequency
-    if stated > SETTINGS.told * SETTINGS.frequency:
+    yield from _of_dynamics(
+        record,
+        fit,
+        own.retuned(frequency=1 + SETTINGS.frequency, damping=1.0),
+        kind="natural frequency",
+        stated=own.uncertainty("natural_frequency") / (SETTINGS.frequency * own.natural_frequency),
+        text=f"the natural frequency of {name} is {own.natural_frequency:.5g} Hz, which this record does not tell: "
+        f"{100 * SETTINGS.frequency:g} % more or less would change the force by {{}}",
+    )
+    if own.damping_ratio > 0:
+        yield from _of_dynamics(
+            record,
+            fit,
+            own.retuned(frequency=1.0, damping=1 + SETTINGS.damping),
+            kind="damping ratio",
+            stated=own.uncertainty("damping_ratio") / (SETTINGS.damping * own.damping_ratio),
+            text=f"the damping ratio of {name} is {own.damping_ratio:.3g}, which this record does not tell: "
+            f"{100 * SETTINGS.damping:g} % more or less, as a flow may make it, would change the force by {{}}",
+        )
+
+
+def _of_dynamics(
+    record: SingleRecord, fit: SmootherResult, other: Dynamics, *, kind: str, stated: float, text: str
+) -> Iterator[Assumption]:
+    """What is assumed of the dynamics, by others that are usual, unless the record tells them or an uncertainty does.
+
+    `stated` is the standard uncertainty of what they are other in, over how far they are off [1].
+    """
+    if stated > SETTINGS.told:
         return
-    other = own.retuned(frequency=1 + SETTINGS.frequency, damping=1.0)
     if fit.force.size > SETTINGS.first and _tells(fit, other, slice(0, SETTINGS.first)):  # most records tell it soon
         return
-    error = error_under(fit.force, own=own, other=other, interval=record.interval)
+    error = error_under(fit.force, own=record.dynamics, other=other, interval=record.interval)
     effect = float(np.sqrt(np.mean(error**2)))
     rounding = SETTINGS.rounding * float(np.sqrt(np.mean(fit.force**2)))
     if effect <= max(SETTINGS.matters * float(np.sqrt(np.mean(fit.variance))), rounding):
         return
-    if _tells(fit, other, slice(0, fit.force.size)):
-        return
-    text = (
-        f"the natural frequency of {name} is {own.natural_frequency:.5g} Hz, which this record does not tell: "
-        f"{100 * SETTINGS.frequency:g} % more or less would change the force by {{}}"
-    )
-    yield _told("natural frequency", name, text, effect, unit)
+    if not _tells(fit, other, slice(0, fit.force.size)):
+        yield _told(kind, record.dynamics.component, text, effect, si_unit(record.dynamics.component))
 
 
 def _tells(fit: SmootherResult, other: Dynamics, within: slice) -> bool:
