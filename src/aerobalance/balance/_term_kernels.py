@@ -117,7 +117,7 @@ def term(kind: int, a: float, b: float) -> tuple[float, float, float]:
     return abs(a * a * a), 3 * a * abs(a), 0.0
 
 
-@compiled()
+@compiled(nogil=True)
 def design(kinds: Integers, first: Integers, second: Integers, x: Floats) -> Floats:
     """Values of all terms: x (n, c) gives (n, t)."""
     n, count = x.shape[0], kinds.size
@@ -142,7 +142,7 @@ def forward(kinds: Integers, first: Integers, second: Integers, C: Floats, x: Fl
             J[m, j] += C[t, m] * db
 
 
-@compiled()
+@compiled(nogil=True)
 def jacobians(kinds: Integers, first: Integers, second: Integers, C: Floats, x: Floats) -> Floats:
     """Jacobians of the polynomial at every x: (n, c) gives (n, c, c)."""
     n, c = x.shape
@@ -247,7 +247,7 @@ def move(x: Floats, change: Singles, marks: Singles, factors: Singles) -> None:
                 factors[2 * d + row, BLOCK + k] = (new - old) * (new + old)
 
 
-@compiled(no_cfunc_wrapper=True)
+@compiled(nogil=True, no_cfunc_wrapper=True)
 def invert(
     given: Polynomials, y: Floats, tolerance: float, late: int, work: Work, out: Floats, steps: Integers
 ) -> None:
