@@ -15,6 +15,7 @@ from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import FitError, warn_quality
+from aerobalance.recording.linalg import table_covariance, whole_rows
 from aerobalance.recording.noise import white_noise
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.stuck_samples import stuck_samples
@@ -150,7 +151,8 @@ def check_range(recording: Recording, balance: BalanceMatrix, native: Array) -> 
 
 def check_iteration(recording: Recording, balance: BalanceMatrix, native: Array) -> float:
     """Largest contraction factor, looked for where each load is least and largest."""
-    extremes = np.unique(np.concatenate([native.argmin(axis=0), native.argmax(axis=0)]))
+    columns = np.ascontiguousarray(native.T)
+    extremes = np.unique(np.concatenate([columns.argmin(axis=1), columns.argmax(axis=1)]))
     factor = float(np.max(balance.contraction(native[extremes])))
     if factor > SETTINGS.nearly_diverging:
         warn_quality(
@@ -221,10 +223,12 @@ def doubts_of_size(readings: Array, balance: BalanceMatrix, components: Sequence
     components
         Components of the loads.
     """
-    known = readings[np.isfinite(readings).all(axis=1)]
+    whole = whole_rows(readings)
+    known = readings if whole.all() else readings[whole]
     if len(known) < SETTINGS.fewest:
         return
-    share = float(np.max(np.sqrt(np.mean(known**2, axis=0)) / _largest_outputs(balance)))
+    squares = np.diag(known.T @ known) / len(known)
+    share = float(np.max(np.sqrt(squares) / _largest_outputs(balance)))
     # noise and zeros of bridges that were set to nothing are as small
     if not 0 < share < SETTINGS.no_load:
         return
@@ -381,14 +385,15 @@ def doubts_of_bridges(
     sensitivity
         Change of the loads in its own components with each output, shape (c, c) [N V/mV].
     """
-    known = np.isfinite(native).all(axis=1) & np.isfinite(outputs).all(axis=1)
+    known = whole_rows(native) & whole_rows(outputs)
     if np.count_nonzero(known) < SETTINGS.fewest:
         return
-    outputs, native = outputs[known], native[known]
-    scatter = outputs.std(axis=0)
+    if not known.all():
+        outputs, native = outputs[known], native[known]
+    scatter = np.sqrt(np.diag(table_covariance(outputs)) * (1 - 1 / len(outputs)))
     moves = np.linalg.inv(sensitivity)
     np.fill_diagonal(moves, 0.0)
-    by_others = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", moves, np.cov(native.T), moves), 0.0))
+    by_others = np.sqrt(np.maximum(np.einsum("ij,jk,ik->i", moves, table_covariance(native), moves), 0.0))
     least = np.maximum(SETTINGS.by_others * scatter, ROUNDING * balance.output_scale)
     for place in np.flatnonzero(by_others > least):
         still = scatter[place] < ROUNDING * balance.output_scale[place]

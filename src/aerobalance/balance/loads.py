@@ -38,6 +38,7 @@ from aerobalance.recording.components import COMPONENTS, is_gauge
 from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import FitError, argument, warn_quality
 from aerobalance.recording.gravity import GravityOnZero
+from aerobalance.recording.linalg import whole_rows
 from aerobalance.recording.noise import channel_noise, noise_correlation
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import interpolate_gaps_linearly
@@ -298,13 +299,12 @@ def loads_of_outputs(
     zero = _calibration_zero(recording, balance) if zero is None else zero
     if zero.model_on is None:
         raise ValueError(f"{zero.source}: {SAY_HOW_READ}")
-    progress = np.linspace(recording.extent.begin, recording.extent.end, table.shape[0])[:, None]
     outputs, of_temperature = at_reference_temperature(
-        table - zero.values - zero.drift * progress, recording, balance, since_calibration=since_calibration
+        _since_zero(table, recording, zero), recording, balance, since_calibration=since_calibration
     )
     check_size(recording, balance, outputs)
     solution = balance.loads(outputs)
-    known = np.isfinite(solution.loads).all(axis=1)
+    known = whole_rows(solution.loads)
     whole = bool(known.all())
     lost = 0 if whole else int(np.count_nonzero(np.isfinite(outputs).all(axis=1) & ~known))
     if not known.any() and recording.extent.is_whole:
@@ -343,7 +343,7 @@ def loads_of_outputs(
         of_tare = tare.correlation * (known_u.T @ known_u) / max(len(known_u), 1)
     correlation = np.eye(len(scatter))
     if known.any():
-        correlation = noise_correlation(np.column_stack([interpolate_gaps_linearly(one) for one in values.T]))
+        correlation = noise_correlation(_without_gaps(values))
     clipped = np.column_stack([one.at_limit for one in read])
     stuck = stuck_outputs(read, balance) & ~clipped
     loads = Loads(
@@ -376,8 +376,25 @@ def loads_of_outputs(
     return replace(loads, recording=_with_loads(recording, loads))
 
 
+def _since_zero(table: Array, recording: Recording, zero: GaugeZero) -> Array:
+    """Gauge outputs less their zero, which may drift across the run, shape (n, c) [mV/V]."""
+    counted = table - zero.values
+    if zero.drift.any():
+        counted -= zero.drift * np.linspace(recording.extent.begin, recording.extent.end, table.shape[0])[:, None]
+    return np.asarray(counted)
+
+
+def _without_gaps(values: Array) -> Array:
+    """Columns with straight lines across their gaps, shape (n, c)."""
+    if np.isfinite(values).all():
+        return values
+    return np.column_stack([interpolate_gaps_linearly(one) for one in values.T])
+
+
 def _few(found: NDArray[np.bool_]) -> NDArray[np.bool_] | None:
     """Readings of the bridges that are none, shape (n, c), of bridges with few of them; None where there are none."""
+    if not found.any():
+        return None
     few = found & (found.mean(axis=0) <= MOST_LOST)
     return few if few.any() else None
 
@@ -434,13 +451,13 @@ def _apart(native: Array, of_zero: Array, channels: Sequence[Channel], *, slope:
 
 def _median(native: Array) -> Array:
     """Median load, shape (c,); of a long record that of samples spread over it, where the matrix is the same."""
-    return np.asarray(np.median(native[:: max(len(native) // SPREAD, 1)], axis=0))
+    return np.asarray(np.median(np.ascontiguousarray(native[:: max(len(native) // SPREAD, 1)].T), axis=1))
 
 
 def _from_matrix(felt: Loads, native: Array) -> Array:
     """Variance that the matrix gives to loads in the balance's own components, shape (n, c); NaN where one is."""
     found = load_variances(felt.balance, np.nan_to_num(native), transform=felt.transform)
-    found[~np.isfinite(felt.native).all(axis=1)] = np.nan
+    found[~whole_rows(felt.native)] = np.nan
     return found
 
 

@@ -260,9 +260,10 @@ class Channel(SensorSpec):
 
         Once a limit is known, a single reading there is as little worth as a run of them.
         """
-        limits = np.unique(self.values[self.saturated])
-        if not limits.size:
-            return np.zeros(self.values.shape, dtype=bool)
+        rests = self.saturated
+        if not rests.any():
+            return rests
+        limits = np.unique(self.values[rests])
         if self._has_symmetric_ends:  # the other end of the range, though no run rests on it
             limits = np.array([np.nanmin(self.values), np.nanmax(self.values)])
         return np.isin(self.values, limits)

@@ -13,7 +13,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 from typing import Final
 
 import numpy as np
@@ -164,7 +164,7 @@ class Decimation:
         late = (own.start - self.before) % factor  # so that every factor-th sample of the block is one of the clock
         first = (int(places[0]) - own.start + late) // factor
         count = next_fast_len(-(-(series.shape[0] + late) // factor) + SPAN, real=True)
-        answer = _zero_phase(decimation_filter(factor), factor * count) / factor
+        answer = _answer(factor, factor * count)
         out, block = np.empty((places.size, series.shape[1])), np.zeros(factor * count)
         for place, column in enumerate(series.T):
             level = column[0]  # taken off, as the block is padded with zeros: without it their edge would ring
@@ -235,6 +235,12 @@ def between_samples(values: Array, factor: int) -> Array:
     """Return a band-limited series on a clock that is faster by a factor, shape ((n - 1) factor + 1,)."""
     decimation = Decimation(factor, (values.size - 1) * factor + 1)
     return decimation.interpolated(values, 0, values.size)
+
+
+@lru_cache(maxsize=4)  # the pieces of a record have one length, or at its ends others
+def _answer(factor: int, size: int) -> Array:
+    """Frequency response of the decimation filter over the factor, for a series of `size` samples."""
+    return _zero_phase(decimation_filter(factor), size) / factor
 
 
 def _zero_phase(taps: Array, size: int) -> Array:

@@ -168,8 +168,10 @@ def on_one_delay(readings: Array, channels: Sequence[Channel], *, delay: float, 
     moved, count = readings, readings.shape[0]
     for index, channel in enumerate(channels):
         by = delay - channel.delay
+        if not by:
+            continue
         known = np.isfinite(readings[:, index])
-        if not by or not known.any():
+        if not known.any():
             continue
         moved = readings.copy() if moved is readings else moved
         late = round(by / interval, PLACES)

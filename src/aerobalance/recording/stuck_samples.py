@@ -80,6 +80,8 @@ def stuck_samples(values: Array) -> NDArray[np.bool_]:
     found = np.zeros(values.size, dtype=bool)
     step = np.diff(values)
     same = step == 0
+    if not same.any():  # as of most channels that are finely resolved
+        return found
     changes = int(np.count_nonzero(np.isfinite(step) & ~same))
     if not changes:
         return found

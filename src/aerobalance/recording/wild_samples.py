@@ -97,8 +97,14 @@ def wild_samples(values: Array) -> NDArray[np.bool_]:
 def _departures(values: Array) -> Array:
     """Departure of each reading from the cubic through two on either side, 0 where one is missing, shape (n,)."""
     out = np.zeros(values.size)
-    out[2:-2] = values[2:-2] - (4 * (values[1:-3] + values[3:-1]) - (values[:-4] + values[4:])) / 6
-    return np.where(np.isfinite(out), out, 0.0)
+    middle = out[2:-2]  # worked out in its place, as the readings are many
+    np.add(values[1:-3], values[3:-1], out=middle)
+    middle *= 4
+    middle -= values[:-4] + values[4:]
+    middle /= 6
+    np.subtract(values[2:-2], middle, out=middle)
+    finite = np.isfinite(out)
+    return out if finite.all() else np.where(finite, out, 0.0)
 
 
 def _windows(samples: int) -> NDArray[np.intp]:

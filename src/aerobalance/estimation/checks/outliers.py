@@ -76,7 +76,10 @@ def without_wild_samples(
                 f"{recording.name}: {_samples(stuck)} of {stuck.size} of {name} repeat the one before: the channel "
                 "was stuck or not connected, and there is no force to work out"
             )
-        wild = wild_samples(np.where(limited | stuck, np.nan, channel.values))
+        unsure = limited | stuck
+        wild = wild_samples(np.where(unsure, np.nan, channel.values) if unsure.any() else channel.values)
+        if not (wild.any() or unsure.any()):  # as in most records
+            continue
         for component in [name] if is_load else present:
             doubts += _doubts(recording, channel, component, wild=wild, stuck=stuck, limited=limited & (not rests))
         if wild.any() or unread.any():
