@@ -215,18 +215,22 @@ def _by_others(forces: Array, own: CoupledDynamics, other: CoupledDynamics, *, i
     forces
         The forces, shape (samples, n); their ends do not matter to their rms.
     own, other
-        The dynamics.
+        The dynamics, without internal coordinates.
     interval
         Time between samples [s].
     """
     count = 2 * len(forces)
     lines = np.fft.rfft(np.concatenate([forces, forces[::-1]]), axis=0)
     frequency, power = np.fft.rfftfreq(count, interval), np.zeros(forces.shape[1])
+    poles, shapes, weights = other.modal_form
+    damping, inertia = own.quadratic
     for first in range(0, frequency.size, AT_ONCE):
         some = slice(first, first + AT_ONCE)
-        felt = np.einsum("mij,mj->mi", other.response(frequency[some]), lines[some])
-        change = np.einsum("mij,mj->mi", own.inverse_response(frequency[some]), felt) - lines[some]
-        power += 2 * np.sum(np.abs(change) ** 2, axis=0)
+        s = 2j * np.pi * frequency[some, None]
+        # mode by mode: a matrix inverted at every frequency takes three times as long
+        felt = ((lines[some] @ weights.T) / (s - poles)) @ shapes.T
+        change = felt + s * (felt @ damping.T) + s**2 * (felt @ inertia.T) - lines[some]
+        power += 2 * np.sum(change.real**2 + change.imag**2, axis=0)
     return np.asarray(np.sqrt(power) / count)
 
 

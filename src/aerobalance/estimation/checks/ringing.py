@@ -104,9 +104,10 @@ class Rows:
 
     def at(self, frequency: Array) -> NDArray[np.complex128]:
         """Their values at frequencies of shape (m,) [Hz], shape (m, n, n)."""
-        s, found = 2j * np.pi * frequency[:, None, None], np.zeros((frequency.size, *self.forces.shape[:2]), complex)
-        for powers in np.moveaxis(self.forces, -1, 0)[::-1]:
-            found = found * s + powers
+        w, powers = 2 * np.pi * frequency[:, None, None], np.moveaxis(self.forces, -1, 0)
+        # even powers of s are real, odd ones imaginary: real products alone
+        found = np.empty((frequency.size, *self.forces.shape[:2]), complex)
+        found.real, found.imag = _horner(powers[::2], -(w**2)), w * _horner(powers[1::2], -(w**2))
         return found
 
     def determinant(self, frequency: Array) -> Array:
@@ -124,7 +125,11 @@ class Rows:
             companion[:size, place * size : (place + 1) * size] = -np.linalg.solve(first, power * scale ** (place + 1))
         product = np.full(frequency.size, np.linalg.det(first) ** 2)
         for one in np.linalg.eigvals(companion):
-            product *= (1 + along * one.imag) ** 2 + (along * one.real) ** 2
+            factor, rest = 1 + along * one.imag, along * one.real
+            factor *= factor
+            rest *= rest
+            factor += rest
+            product *= factor
         return np.asarray(np.log(product))
 
     def with_signs(self, signs: Array) -> Rows:
@@ -341,6 +346,16 @@ class RingingSpectra:
         offsets = (np.arange(SETTINGS.fine) + 0.5) / SETTINGS.fine - 0.5
         places = (self.frequency[:, None] + step * offsets).ravel()
         return np.asarray(rows.determinant(places).reshape(-1, SETTINGS.fine).mean(axis=1))
+
+
+def _horner(coefficients: Array, at: Array) -> Array:
+    """Polynomials with rising powers along the first axis, at numbers of shape (m, 1, 1), shape (m, n, n)."""
+    found = np.zeros(np.broadcast_shapes(at.shape, coefficients.shape[1:]))
+    for place, one in enumerate(coefficients[::-1]):
+        if place:
+            found *= at
+        found += one
+    return found
 
 
 def _own(power: Array) -> NDArray[np.bool_]:
