@@ -163,7 +163,7 @@ def _nonlinear_parts(native: Array, matrix: BalanceMatrix, *, size: int) -> Iter
     rounding = float(np.finfo(np.float64).eps) * len(shapes)
     slopes = np.linalg.pinv(shapes, rcond=rounding) @ kernels.design(*codes(matrix.terms), some)
     window = hann(size)
-    window /= np.sqrt(np.sum(window**2))
+    window = window / np.sqrt(np.sum(window**2))
     count = min(SEGMENTS, max(2 * (len(x) // size) - 1, 1))
     for start in np.linspace(0, len(x) - size, count).astype(int):
         part = np.ascontiguousarray(x[start : start + size])

@@ -17,6 +17,7 @@ from aerobalance.estimation.sums import SampledForce
 from aerobalance.estimation.working_clock import DecimatedRecord
 from aerobalance.recording.channel import Array
 from aerobalance.recording.decimation import BETWEEN
+from aerobalance.recording.side_by_side import side_by_side
 
 
 @dataclass(slots=True, eq=False)
@@ -41,8 +42,9 @@ class RecordClock:
         decimation = self.record.decimation
         own, first = given.own, given.first
         stop = first + own.stop - own.start
-        found = {}
-        for name, value in given.values.items():
+
+        def sampled_one(name: str) -> SampledForce:
+            value = given.values[name]
             steps = [
                 replace(one, instant=one.instant + given.part.begin / self.record.rate) for one in force[name].steps
             ]
@@ -51,8 +53,10 @@ class RecordClock:
             u, after = given.uncertainty[name], (force[name].values[context], force[name].uncertainty[context])
             values, uncertainty = (np.concatenate(parts) for parts in zip(before, (value, u), after, strict=True))
             begin = first - before[0].size
-            found[name] = self._on_record_clock(values, uncertainty, steps, first=first, stop=stop, begin=begin)
             self._before[name] = value[-BETWEEN:].copy(), u[-BETWEEN:].copy()
+            return self._on_record_clock(values, uncertainty, steps, first=first, stop=stop, begin=begin)
+
+        found = dict(zip(given.values, side_by_side(sampled_one, given.values), strict=True))
         span = decimation.span(first, stop)
         late = decimation.before / (self.record.rate * self.record.every)
         return replace(

@@ -223,18 +223,20 @@ class SpectrumSums:
         """Add samples, shape (n,), at least `length` of them, with their contributions."""
         count = 1 + (values.size - self.length) // (self.length - self.length // 2)
         self.segments += count
-        self.density += count * np.real(self._averaged(values))
+        uncertain = [part for part in contributions if isinstance(part, Systematic) and part.covariance.any()]
+        # all of them together: the spectrum of the force itself is in each
+        series = [values, *(row for part in uncertain for row in part.slopes.T)]
+        density, *slopes = np.real(averaged_spectrum(values, rate=1.0, length=self.length, other=series)[1])
+        self.density += count * density
         for part in contributions:
             if isinstance(part, Noise):
                 self.noise += part.relative_density(self.noise.size) * 2 * float(np.sum(part.deviation**2))
             elif part.covariance.any():
-                gradient = 2 * count * np.real(self._averaged(values, part.slopes.T).T)
+                own, slopes = slopes[: part.slopes.shape[1]], slopes[part.slopes.shape[1] :]
+                gradient = 2 * count * np.stack(own, axis=1)
                 if part.local:
                     self.variance += np.sum((gradient @ part.covariance) * gradient, axis=1)
                 else:
                     key = (part.name, part.source)
                     before = self.common.get(key, np.zeros((self.density.size, 0)))
                     self.common[key] = added(before, gradient @ part.numbers)
-
-    def _averaged(self, values: Array, other: Array | None = None) -> Array:
-        return np.asarray(averaged_spectrum(values, rate=1.0, length=self.length, other=other)[1])

@@ -15,6 +15,7 @@ import numpy as np
 from aerobalance.motion.least_squares import GroundFit, integral
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import DIRECTIONS, MOMENT_ROWS, MOMENTS
+from aerobalance.recording.fourier import hann
 
 
 @dataclass(frozen=True, slots=True)
@@ -158,7 +159,7 @@ def _integrated(values: Array, rate: float) -> Array:
     """Integral less its straight line, fitted under a Hann window, which keeps slow swings out of it, shape (n,)."""
     whole = integral(values, rate=rate)
     place = np.linspace(-1, 1, values.size)
-    weight = np.hanning(values.size + 2)[1:-1]
+    weight = hann(values.size + 1)[1:]
     # the window is symmetric and the place is not: mean and slope are apart
     mean, slope = weight @ whole / weight.sum(), weight * place @ whole / (weight @ place**2)
     return np.asarray(whole - mean - slope * place)
@@ -167,9 +168,11 @@ def _integrated(values: Array, rate: float) -> Array:
 def centripetal(fit: GroundFit, rate: Array) -> Array:
     """What the sensors read of w x (w x r), shape (n, m) [m/s^2]."""
     w = rate @ DIRECTIONS[list(MOMENT_ROWS)]
-    square = np.sum(w**2, axis=1)
+    square = w[:, 0] ** 2 + w[:, 1] ** 2 + w[:, 2] ** 2
     return np.column_stack([(w @ s.place) * (w @ s.axis) - square * float(s.place @ s.axis) for s in fit.sensors])
 
 
 def _rms(values: Array) -> Array:
-    return np.asarray(np.sqrt(np.mean(values**2, axis=0)))
+    """Rms of a series (n,), or of each column of a table (n, m): by a product, which does not go along short rows."""
+    squares = values.T @ values
+    return np.asarray(np.sqrt((np.diag(squares) if values.ndim > 1 else squares) / len(values)))

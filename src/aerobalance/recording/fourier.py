@@ -10,6 +10,8 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from functools import lru_cache
 from typing import Final, Literal
 
 import numpy as np
@@ -25,10 +27,25 @@ _BLOCKS: Final = 4
 _SHORTEST: Final = 1 << 14
 """Shortest of these blocks."""
 
+_KEPT: Final = 1 << 17
+"""Longest window that is kept for the next time."""
+
 
 def hann(count: int) -> Array:
-    """Hann window of a period of so many samples, shape (count,) [1]."""
+    """Hann window of a period of so many samples, shape (count,) [1]; not to be written to."""
+    return _kept_hann(count) if count <= _KEPT else _hann(count)
+
+
+def _hann(count: int) -> Array:
     return np.asarray(np.hanning(count + 1)[:-1], dtype=np.float64)
+
+
+@lru_cache(maxsize=8)
+def _kept_hann(count: int) -> Array:
+    """The same, kept: all that is asked of a part of a record asks for windows of a few lengths."""
+    window = _hann(count)
+    window.setflags(write=False)
+    return window
 
 
 def tapered(count: int, share: float) -> Array:
@@ -45,7 +62,12 @@ def without_line(values: Array) -> Array:
 
 
 def averaged_spectrum(
-    values: Array, *, rate: float, length: int, other: Array | None = None, less: Literal["mean", "line"] = "mean"
+    values: Array,
+    *,
+    rate: float,
+    length: int,
+    other: Array | Sequence[Array] | None = None,
+    less: Literal["mean", "line"] = "mean",
 ) -> tuple[Array, NDArray[np.complex128]]:
     """Frequencies [Hz] and one-sided spectral density of a series [its unit squared over Hz], by [Welch1967]_.
 
@@ -60,7 +82,7 @@ def averaged_spectrum(
     length
         Samples of a segment, at most n.
     other
-        Another series of shape (n,), or several of shape (k, n); the cross-spectral densities are returned then.
+        Another series of shape (n,), or k of them; the cross-spectral densities are returned then.
     less
         What is taken off each segment.
 
@@ -77,11 +99,14 @@ def averaged_spectrum(
         return np.asarray(rfft(level * window), dtype=np.complex128)
 
     own = spectra(values)
-    others = [own] if other is None else [spectra(one) for one in np.atleast_2d(other)]
-    density = np.stack([(own.conj() * one).mean(axis=0) for one in others]) / (rate * np.sum(window**2))
+    several = not (other is None or (isinstance(other, np.ndarray) and other.ndim == 1))
+    others = other if several and other is not None else [values if other is None else other]
+    turned, density = own.conj(), np.empty((len(others), own.shape[1]), dtype=np.complex128)
+    for place, one in enumerate(others):  # one after the other, as each has many segments
+        density[place] = np.einsum("sf,sf->f", turned, own if one is values else spectra(np.asarray(one)))
+    density /= rate * np.sum(window**2) * len(own)
     density[:, 1 : -1 if length % 2 == 0 else None] *= 2
     frequency = np.asarray(np.arange(density.shape[1]) * (rate / length), dtype=np.float64)
-    several = other is not None and other.ndim > 1
     return frequency, np.asarray(density if several else density[0], dtype=np.complex128)
 
 

@@ -40,6 +40,7 @@ from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.doubts import Doubt, verdict_of
 from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.side_by_side import side_by_side
 from aerobalance.uncertainty.monte_carlo import MonteCarlo, monte_carlo
 
 AT_ONCE: Final = 1 << 16
@@ -182,9 +183,13 @@ class _KeptForces:
                 self._summaries[name] = SummaryOfParts(name, self.samples, self.every)
                 if pictured:
                     self.curves[name] = ForceCurves(self.samples, start, self.every)
+
+        def add_one(name: str) -> None:
             self._summaries[name].add(given)
             if pictured:
                 self.curves[name].add(given, name)
+
+        side_by_side(add_one, given.values)
         force = given.force
         if force is None:
             return

@@ -27,6 +27,7 @@ from numpy.typing import NDArray
 from scipy.fft import rfft
 
 from aerobalance.recording.channel import Array
+from aerobalance.recording.fourier import hann
 from aerobalance.recording.resampling import interpolate_gaps_linearly
 
 Hum = Literal["mains", "keep"] | tuple[float, ...]
@@ -479,7 +480,7 @@ class _Near:
 
 def _hann(count: int) -> Array:
     """Hann window of so many samples without the zeros at its ends, shape (count,) [1]."""
-    return np.hanning(count + 2)[1:-1]
+    return hann(count + 1)[1:]
 
 
 def _sums(values: Array, cycles: float, *, weights: Array) -> NDArray[np.complex128]:
