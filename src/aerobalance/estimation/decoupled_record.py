@@ -185,7 +185,7 @@ class DecoupledRecord(ComponentRecord):
         """Balance load under a unit of an unknown of the ground's motion, shape (samples,)."""
         rows = self.coupled.mass_rows
         channels = (self.decoupled, *self.others)
-        net = [-item.slope @ rows[one.place][:, None] for one in channels]  # on the component itself
+        net = [item.slope @ -rows[one.place][:, None] for one in channels]  # on the component itself
         if not any(part.any() for part in net):
             return np.zeros(len(item.slope))
         own, *theirs = (one.response_to(part, interval=self.interval) for one, part in zip(channels, net, strict=True))

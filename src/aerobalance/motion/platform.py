@@ -183,7 +183,7 @@ def unread_beside(motion: Array, delays: Sequence[float], *, delay: float, inter
 
     A motion that is constant, shape (n,) or (n, c), is known where nothing was read as well.
     """
-    lags = [delay - own for own in delays] if np.ptp(motion, axis=0).any() else []
+    lags = [delay - own for own in delays] if (motion != motion[:1]).any() else []
     return held_by_delays(len(motion), delays=lags, interval=interval)
 
 

@@ -19,6 +19,7 @@ from aerobalance.motion.changes import MotionChanges
 from aerobalance.motion.platform import SystematicParameter, driven_column
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import kept_warnings
+from aerobalance.recording.linalg import table_covariance
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import interpolate_gaps_linearly
@@ -180,7 +181,7 @@ class ChannelShapes:
     def pace(self) -> float:
         """Frequency of its motion, rms [Hz times the interval of the samples]."""
         motion = self.slopes[1].reshape(self.slopes[1].shape[0], -1)
-        own = motion[:, int(np.argmax(np.std(motion, axis=0)))]
+        own = motion[:, int(np.argmax(np.diag(table_covariance(motion))))]
         return float(np.std(np.diff(own))) / (2 * np.pi * float(np.std(own)))
 
 
