@@ -21,7 +21,7 @@ def first_order(growth: complex, drive: NDArray[np.complex128]) -> NDArray[np.co
     return out
 
 
-@compiled(nogil=True)
+@compiled(nogil=True, fastmath={"contract"})
 def driven(
     denominator: NDArray[np.float64],
     taps: NDArray[np.float64],
@@ -40,11 +40,11 @@ def driven(
     series : (c, n + t - 1)
         What drives it.
     state : (2,)
-        What earlier samples add to the next two.
+        The last two y, the later one first.
     out : (n,)
         Where y is written.
     """
-    first, second = state[0], state[1]
+    last, before = state[0], state[1]
     work, near = np.empty(BLOCK), np.zeros(BLOCK + taps.shape[0])
     for begin in range(0, out.size, BLOCK):
         count = min(BLOCK, out.size - begin)
@@ -59,8 +59,8 @@ def driven(
                 for k in range(BLOCK):
                     work[k] += weight * near[k + t]
         for k in range(count):
-            y = work[k] + first
-            first = second - denominator[1] * y
-            second = -denominator[2] * y
+            # only one product waits for the sample before
+            y = (work[k] - denominator[2] * before) - denominator[1] * last
+            last, before = y, last
             out[begin + k] = y
-    state[0], state[1] = first, second
+    state[0], state[1] = last, before

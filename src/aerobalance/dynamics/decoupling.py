@@ -26,7 +26,7 @@ from numpy.polynomial import polynomial
 from numpy.typing import NDArray
 
 from aerobalance.dynamics.condensation import Condensed, modes_of, partial_fractions, spectral_factor
-from aerobalance.dynamics.driven_modes import DrivenModes, values_and_rates
+from aerobalance.dynamics.driven_modes import DrivenModes, responses, values_and_rates
 from aerobalance.dynamics.modal import EquivalentModel, ModalModel, Mode
 from aerobalance.recording.channel import Array
 
@@ -210,10 +210,10 @@ class DecoupledChannel:
         """
         parts = Fractions.of(self.carried[:1], self.dynamics.modes)
         whole = parts.direct[0] * net.T
-        for place, mode in enumerate(parts.modes):
-            for column in range(net.shape[1]):
-                value, rate = values_and_rates(mode, net[:, [column]], interval=interval)
-                whole[column] += parts.by_value[place, 0] * value[0] + parts.by_rate[place, 0] * rate[0]
+        for mode, by_value, by_rate in zip(parts.modes, parts.by_value[:, 0], parts.by_rate[:, 0], strict=True):
+            weights = {"by_value": float(by_value), "by_rate": float(by_rate)}
+            for column in range(net.shape[1]):  # one by one, as each takes room
+                whole[column] += responses(mode, net[:, [column]], interval=interval, **weights)[0]
         return np.asarray(whole.T)
 
     def _inside(self, loads: Array, place: int, *, interval: float) -> Array:

@@ -115,6 +115,25 @@ class DrivenModes:
         return push
 
 
+def responses(mode: Mode, series: Array, *, by_value: float, by_rate: float, interval: float) -> Array:
+    """Sums of the responses of a mode to several series and of their rates, as `values_and_rates` gives them, (c, n).
+
+    Parameters
+    ----------
+    mode, series, interval
+        As in `values_and_rates`.
+    by_value, by_rate
+        Weights of the responses [1] and of their rates [s].
+    """
+    pole, first, taps = _taps(mode, interval=interval, delay=0.0)
+    whole = _beyond_ends((series - series[0]).T, before=-first, after=first + taps.shape[0] - 1)
+    both, found = np.ascontiguousarray(taps @ np.array([[by_value], [by_rate]])), np.empty(series.shape[::-1])
+    for one, out in zip(whole, found, strict=True):
+        driven(pole, both, one[None], np.zeros(2), out)
+    found += by_value * series[:1].T
+    return found
+
+
 def values_and_rates(mode: Mode, series: Array, *, interval: float) -> tuple[Array, Array]:
     """Responses of a mode to several series, and their rates, as `DrivenModes` gives them, shape (c, n) each.
 
