@@ -36,6 +36,7 @@ from aerobalance.estimation.spectra.steady_tones import without_tones
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import DOUBTED, Assumption, Doubt
+from aerobalance.recording.side_by_side import both
 
 AT_ONCE: Final = 1 << 12
 """Frequencies whose matrices are in memory at once."""
@@ -305,10 +306,16 @@ def _spoken(
     """
     if ringing is None:
         return None
-    other = other_shapes(ringing, record.dynamics)
-    if other is None:
+    seen = ringing
+
+    def moved() -> OtherShapes | None:
         first = int(within.start)
-        return moved_alone(ringing, record.dynamics) or one_moved(ringing, record, parts, readings, first=first)
+        return moved_alone(seen, record.dynamics) or one_moved(seen, record, parts, readings, first=first)
+
+    # of most records nothing is found, and both are asked
+    other, one = both(lambda: other_shapes(seen, record.dynamics), moved)
+    if other is None:
+        return one
     # a tone is narrower than any resonance, and looks like one that is elsewhere
     above = SETTINGS.tones_above * record.dynamics.modes[0].natural_frequency * record.interval
     ringing = RingingSpectra.of(record, without_tones(loads[within], above=above), parts)
