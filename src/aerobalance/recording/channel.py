@@ -235,9 +235,11 @@ class Channel(SensorSpec):
         """
         if self.name.startswith("u_") and self.name[2:] in COMPONENTS:
             return np.zeros(self.values.shape, dtype=bool)
+        nothing = np.zeros(self.values.shape, dtype=bool)
+        if not (self.values[1:] == self.values[:-1]).any():  # no run of equal readings, wherever it were
+            return nothing
         sides = [_clipped(self.values, sign) for sign in (1.0, -1.0)]
         events = [count for _, count in sides]
-        nothing = np.zeros(self.values.shape, dtype=bool)
         if not any(events):  # as in most records: whether the ends are symmetric need not be looked at
             return nothing
         if self._has_symmetric_ends:
