@@ -211,7 +211,10 @@ class StepWindow:
 def free_motions(mode: Mode, time: Array) -> tuple[Array, Array]:
     """Two motions whose linear combinations are all free motions of a mode, shape (n,) each [1; s]."""
     p, q = mode.poles
-    one, other = np.exp(p * time), np.exp(q * time)
+    one = np.exp(p * time)
     if abs(p - q) * time[-1:].sum() < SAME_POLE:
         return one.real, (time * np.exp((p + q) / 2 * time)).real
+    if q == p.conjugate():
+        return one.real, one.imag / p.imag
+    other = np.exp(q * time)
     return (one + other).real / 2, ((one - other) / (p - q)).real

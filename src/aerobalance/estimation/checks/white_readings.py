@@ -131,9 +131,14 @@ class White:
 
     def with_drift(self, felt: Sequence[Array]) -> Lines:
         """The same with the first shape growing along the record: white readings remember but a part of it."""
-        placed = [self.placed(own, place) for place, own in enumerate(felt)]
-        ramp = ramp_of(felt[0].shape[0])
-        return np.stack([lines_of(np.column_stack([own, ramp * own[:, 0]])) for own in placed], axis=1)
+        count, shapes = felt[0].shape
+        ramp, rows = ramp_of(count), np.empty((shapes + 1, count))
+        found = np.empty((length_of(count) // 2 + 1, len(felt), shapes + 1), dtype=np.complex128)
+        for place, own in enumerate(felt):
+            rows[:-1] = self.placed(own, place).T
+            np.multiply(ramp, rows[0], out=rows[-1])
+            found[:, place] = lines_of(rows.T)
+        return found
 
     def placed(self, felt: Array, place: int) -> Array:
         """Loads of one component in its white readings, shape (n, p) [1 per unit]."""
@@ -167,9 +172,11 @@ def length_of(count: int) -> int:
 def lines_of(series: Array) -> Lines:
     """Return the lines of white series, shapes (n, p) and (m, p) [1]."""
     length = length_of(series.shape[0])
-    found: Lines = np.asarray(rfft(series, length, axis=0) * np.sqrt(2.0 / length), dtype=np.complex128)
-    found[[0, -1]] *= np.sqrt(0.5)  # all others stand for the frequency below zero as well
-    return found
+    # along rows, as memory has what a filter returns
+    found: Lines = np.asarray(rfft(np.ascontiguousarray(series.T), length), dtype=np.complex128)
+    found *= np.sqrt(2.0 / length)
+    found[:, [0, -1]] *= np.sqrt(0.5)  # all others stand for the frequency below zero as well
+    return found.T
 
 
 def _sum(ones: Lines, others: Lines) -> Array:
