@@ -176,7 +176,7 @@ def lines_of(series: Array) -> Lines:
     found: Lines = np.asarray(rfft(np.ascontiguousarray(series.T), length), dtype=np.complex128)
     found *= np.sqrt(2.0 / length)
     found[:, [0, -1]] *= np.sqrt(0.5)  # all others stand for the frequency below zero as well
-    return found.T
+    return np.ascontiguousarray(found.T)
 
 
 def _sum(ones: Lines, others: Lines) -> Array:
