@@ -18,8 +18,9 @@ from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.terms import Term
 from aerobalance.recording.channel import Array
 
-BLOCK: Final = 512
-"""Samples that are worked on together: what is known of them stays in the fast memory."""
+BLOCK: Final = 1536
+"""Samples that are worked on together: what is known of them stays in the fast memory, and of most signs of a part of a
+record there are fewer."""
 
 STEADY: Final = 0.1
 """Pivot of the derivatives of a matrix, over those of its linear terms, below which rows have to change places."""
