@@ -6,7 +6,7 @@ import numpy as np
 
 from aerobalance.app.monitor.engine import warm_up
 from aerobalance.balance.inversion import inverted
-from aerobalance.dynamics._kernels import first_order
+from aerobalance.dynamics._kernels import add_mode, first_order
 from aerobalance.estimation.checks._kernels import ForceLines, likeliest_levels, likeliest_levels_and_noise
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.spectra._kernels import Search
@@ -20,6 +20,8 @@ def compile_all() -> None:
     run = rig.run(1.5, np.random.default_rng(1))
     estimate_force(run.recording, rig.dynamics)
     first_order(0.5 + 0j, np.ones(2, dtype=complex))
+    one = np.ones(1, dtype=complex)
+    add_mode(0.5 + 0j, np.ones(2, dtype=complex), one, one, np.ones((2, 1)), 1, np.zeros((2, 1)))
     both = np.ones((2, 2), dtype=complex)
     levels = ForceLines(both, np.stack([both, both]), np.ones(2), np.ones((2, 2)), np.ones(2, dtype=bool), 0.01)
     likeliest_levels(levels, np.zeros(1, dtype=np.int64), 1, 0.02, np.empty(1))

@@ -21,6 +21,47 @@ def first_order(growth: complex, drive: NDArray[np.complex128]) -> NDArray[np.co
     return out
 
 
+@compiled(nogil=True)
+def add_mode(
+    growth: complex,
+    held: NDArray[np.complex128],
+    weight: NDArray[np.complex128],
+    shape: NDArray[np.complex128],
+    change: NDArray[np.float64],
+    every: int,
+    out: NDArray[np.float64],
+) -> None:
+    """Add what one mode shows of loads that are linear between samples, at every so many of them.
+
+    Parameters
+    ----------
+    growth : complex
+        What becomes of its motion over a sampling interval.
+    held : complex (2,)
+        What a load at the end of an interval adds to its motion there, and one at the beginning.
+    weight, shape : complex (c,)
+        How loads drive it, and what it shows as loads, of which the real part counts.
+    change : (n, c)
+        The loads, less those that were held before the first.
+    every : int
+        Of how many samples one is added to.
+    out : (m, c)
+        Takes the loads that it shows.
+    """
+    z, before = 0j, 0j
+    for k in range(change.shape[0]):
+        real, imaginary = 0.0, 0.0
+        for i in range(weight.size):
+            real += change[k, i] * weight[i].real
+            imaginary += change[k, i] * weight[i].imag
+        push = complex(real, imaginary)
+        z = growth * z + (held[0] * push + held[1] * before)
+        before = push
+        if k % every == 0:
+            for i in range(shape.size):
+                out[k // every, i] += shape[i].real * z.real - shape[i].imag * z.imag
+
+
 @compiled(nogil=True, fastmath={"contract"})
 def driven(
     denominator: NDArray[np.float64],

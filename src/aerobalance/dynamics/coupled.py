@@ -18,7 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from aerobalance.dynamics._kernels import first_order
+from aerobalance.dynamics._kernels import add_mode
 from aerobalance.dynamics.balance_dynamics import BalanceDynamics, ForceSlopes
 from aerobalance.dynamics.condensation import Condensed
 from aerobalance.dynamics.decoupling import DecoupledChannel, parameter_rows
@@ -308,7 +308,7 @@ class CoupledDynamics(BalanceDynamics):
             Of how many samples one is returned: the balance loads are smoother than what they are worked out from.
         """
         poles, shapes, weights = self.modal_form
-        change = net - net[0]
+        change = np.ascontiguousarray(net - net[0])
         felt = np.tile(net[0], (-(-net.shape[0] // every), 1))
         for pole, shape, weight in zip(poles, shapes.T, weights, strict=True):
             if pole.imag < 0:  # its part is the conjugate of that of its twin
@@ -316,12 +316,8 @@ class CoupledDynamics(BalanceDynamics):
             growth = complex(np.exp(pole * interval))
             late = (np.expm1(pole * interval) - pole * interval) / (pole**2 * interval)
             early = np.expm1(pole * interval) / pole - late
-            push = change @ weight.real + 1j * (change @ weight.imag)
-            drive = late * push
-            drive[1:] += early * push[:-1]
-            motion = (1 if pole.imag == 0 else 2) * first_order(growth, drive)[::every]
-            for column, part in enumerate(shape):
-                felt[:, column] += part.real * motion.real - part.imag * motion.imag
+            shown = np.ascontiguousarray((1 if pole.imag == 0 else 2) * shape)
+            add_mode(growth, np.array([late, early]), np.ascontiguousarray(weight), shown, change, every, felt)
         return felt
 
     def force_slopes(self, frequency: Array) -> Iterator[ForceSlopes]:
