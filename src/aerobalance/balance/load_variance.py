@@ -19,8 +19,8 @@ from aerobalance.balance.terms import Term
 from aerobalance.recording.channel import Array
 
 BLOCK: Final = 1536
-"""Samples that are worked on together: what is known of them stays in the fast memory, and a part of a record has fewer
-of most signs."""
+"""Samples that are worked on together: what is known of them stays in the fast memory, and of most signs a part of a
+record has fewer."""
 
 STEADY: Final = 0.1
 """Pivot of the derivatives of a matrix, over those of its linear terms, below which rows have to change places."""
