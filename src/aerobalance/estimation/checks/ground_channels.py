@@ -248,7 +248,7 @@ class Far(NamedTuple):
         """
         # what is white stays so when it is moved: one pass of the filter tells all delays
         most, weighted = int(SETTINGS.reach * samples), np.matmul(motion[:, None, :], white.weights)[:, 0, :]
-        lines = np.sum(weighted * np.conj(white.shown + motion), axis=1)
+        lines = np.einsum("mc,mc->m", weighted, np.conj(white.shown + motion))
         lines[[0, -1]] *= 2.0
         both = irfft(lines, length_of(samples)) * length_of(samples) / 2
         told = np.concatenate([both[-most:], both[: most + 1]]) ** 2 / white.squares(motion)

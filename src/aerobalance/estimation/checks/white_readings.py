@@ -148,9 +148,9 @@ class White:
 
     def solved(self, columns: Lines, shown: Lines | None = None, *, expected: Array | None = None) -> Solved:
         """Sizes of shapes in the readings, or in others, that are expected to be of some size."""
-        weighted = np.matmul(self.weights, columns)
-        moment = _sum(weighted, self.shown if shown is None else shown)
-        return Solved.of(_sum(columns, weighted), moment, expected=expected)
+        weighted, shown = np.matmul(self.weights, columns), self.shown if shown is None else shown
+        both = _sum(weighted, np.concatenate([columns, shown[..., None]], axis=-1))  # weights are Hermitian
+        return Solved.of(both[:, :-1], both[:, -1], expected=expected)
 
     def squares(self, shown: Lines) -> float:
         """Sum of the squares of readings, shape (m, c), less what they have in common."""
@@ -180,7 +180,7 @@ def lines_of(series: Array) -> Lines:
 
 
 def _sum(ones: Lines, others: Lines) -> Array:
-    """Products of series summed over all components and samples, shapes (m, c, p) and (m, c, q) or (m, c)."""
+    """Products of series summed over all components and samples, shapes (m, c, p) and (m, c, q)."""
     flat = ones.reshape(-1, ones.shape[-1])
     return np.asarray(np.real(flat.conj().T @ others.reshape(len(flat), *others.shape[2:])), dtype=np.float64)
 
