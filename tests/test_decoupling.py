@@ -10,7 +10,7 @@ from scipy.linalg import matrix_balance
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.decoupling import Fractions
-from aerobalance.dynamics.driven_modes import DrivenModes
+from aerobalance.dynamics.driven_modes import DrivenModes, responses, values_and_rates
 from aerobalance.dynamics.modal import Mode
 from aerobalance.recording.channel import Array
 from aerobalance.recording.resampling import EDGE, FINE, fractional_delay, upsample_compensated
@@ -193,6 +193,15 @@ def test_responses_do_not_depend_on_how_many_samples_come_at_once(together: int,
     assert parts[0].shape == (0, 2)  # a response waits for samples after it
     # sums of products in blocks of other lengths: rounding of some dozen of them
     np.testing.assert_allclose(np.concatenate([*parts, stream.finish()]), whole, rtol=0, atol=1e-13 * np.ptp(whole))
+
+
+def test_a_sum_of_a_response_and_its_rate_is_that_of_both(rng) -> None:
+    mode, series = Mode(60.0, 0.01, 1.0), 3.0 + rng.normal(size=(500, 2))
+    values, rates = values_and_rates(mode, series, interval=1e-3)
+    found = responses(mode, series, by_value=0.7, by_rate=2e-3, interval=1e-3)
+    expected = 0.7 * values + 2e-3 * rates
+    # rounding of some dozen products a sample, each of which rings for 27 of them (1 / (w zeta h))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13 * np.ptp(expected))
 
 
 def test_nothing_drives_no_response() -> None:

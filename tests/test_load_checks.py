@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from aerobalance.balance.load_checks import ROWS_AT_ONCE, _along_rows, beyond_range
+from aerobalance.recording.linalg import table_covariance, whole_rows
 from aerobalance.simulation.calibration_stand import CAPACITIES, random_balance
 
 
@@ -18,6 +19,20 @@ def test_least_and_largest_of_all_rows_are_found_in_blocks(rows, rng):
             marked[place] = sign * 100.0
             assert np.array_equal(_along_rows(ufunc, marked), np.full(6, sign * 100.0))
         assert np.array_equal(_along_rows(ufunc, table), ufunc.reduce(table), equal_nan=True)
+
+
+def test_covariance_of_a_long_table_is_that_of_numpy(rng):
+    table = rng.normal(size=(5000, 6)) @ rng.normal(size=(6, 6)) + 100.0
+    expected = np.cov(table.T)
+    # rounding of 5000 products of numbers of 100 and less
+    np.testing.assert_allclose(table_covariance(table), expected, rtol=0, atol=1e-12 * np.abs(expected).max())
+
+
+def test_rows_are_whole_where_nothing_is_missing(rng):
+    table = rng.normal(size=(50, 3))
+    assert whole_rows(table).all()
+    table[[3, 7], [0, 2]] = np.nan
+    assert np.flatnonzero(~whole_rows(table)).tolist() == [3, 7]
 
 
 def test_what_lies_beyond_the_range_is_counted_by_component(seed):
