@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import lru_cache, partial
 from itertools import product
 from typing import Final
 
@@ -167,12 +167,10 @@ class Moved:
     @property
     def moved(self) -> CoupledDynamics:
         """Dynamics whose modes are those, in shapes as they were."""
-        poles, shapes, _ = self.dynamics.modal_form
-        up = np.flatnonzero(poles.imag > 0)
-        up = up[np.argsort(np.abs(poles[up]))]
-        size, shapes = len(shapes), shapes[:, up]
-        frequency = np.abs(poles[up]) * np.exp(self.changes[:, 0])
-        ratio = np.minimum(-poles[up].real / np.abs(poles[up]) * np.exp(self.changes[:, 1]), 0.99)
+        poles, shapes = _oscillations(self.dynamics)
+        size = len(shapes)
+        frequency = np.abs(poles) * np.exp(self.changes[:, 0])
+        ratio = np.minimum(-poles.real / np.abs(poles) * np.exp(self.changes[:, 1]), 0.99)
         found = frequency * (-ratio + 1j * np.sqrt(1 - ratio**2))
         both, found = np.hstack([shapes, shapes.conj()]), np.concatenate([found, found.conj()])
         # x'' = -A^-1 (x + D x') for every mode
@@ -185,6 +183,15 @@ class Moved:
         """Their rows."""
         dynamics = self.moved
         return Rows(np.stack([np.eye(len(dynamics.inertia)), dynamics.damping, dynamics.inertia], axis=-1))
+
+
+@lru_cache(maxsize=4)  # a hundred changes are tried of the same dynamics
+def _oscillations(dynamics: CoupledDynamics) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Poles of the modes, by size, one of each pair, shape (modes,) [rad/s], and their shapes, (n, modes)."""
+    poles, shapes, _ = dynamics.modal_form
+    up = np.flatnonzero(poles.imag > 0)
+    up = up[np.argsort(np.abs(poles[up]))]
+    return poles[up], shapes[:, up]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

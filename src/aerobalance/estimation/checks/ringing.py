@@ -206,15 +206,16 @@ class RingingSpectra:
         bands = _bands(last - 2)
         window = hann(count)
         window = window * np.sqrt(interval / float(np.sum(window**2)))
-        lines, gains, forces, over = [], [], [], []
-        inside = slice(2, last)
-        for one in record.decoupled:
+        gains, forces, over = [], [], []
+        inside, channels = slice(2, last), loads.shape[1]
+        lines = np.empty((channels, record.decoupled[0].row.shape[1], channels, last - 2), dtype=np.complex128)
+        for one, own in zip(record.decoupled, lines, strict=True):
             powers = powers_of(one, loads, interval=interval)
             seen = Periodogram.of(loads[:, one.place], one.dynamics, interval=interval)
             product = _product_of_modes(one, seen.ordinates[0, : last - 2])
             driven = np.fft.rfft(powers * window[:, None, None], axis=0)
             forces.append(np.abs(np.einsum("mpj,jp->m", driven, one.row, optimize=True)) ** 2)
-            lines.append(driven[inside] * product[:, None, None])
+            own[:] = (driven[inside] * product[:, None, None]).transpose(1, 2, 0)
             over.append(np.abs(product) ** 2)
             gains.append(seen.ordinates[2, : last - 2] * over[-1])
         frequency = np.arange(2, last) * step
@@ -235,7 +236,7 @@ class RingingSpectra:
         clear = (above > SETTINGS.stands_out) & (_own(powers_of_forces) & _own(read))[inside]
         return cls(
             frequency,
-            np.stack(lines).transpose(0, 2, 3, 1),
+            lines,
             np.stack(gains),
             noise,
             bands,
@@ -265,8 +266,8 @@ class RingingSpectra:
         return replace(
             self,
             frequency=self.frequency[part],
-            lines=self.lines[..., part],
-            gain=self.gain[:, part],
+            lines=np.ascontiguousarray(self.lines[..., part]),
+            gain=np.ascontiguousarray(self.gain[:, part]),
             bands=self.bands[inside] - first,
             shown=self.shown[part],
             clear=self.clear[part],
@@ -274,7 +275,11 @@ class RingingSpectra:
 
     def readings(self, rows: Rows) -> NDArray[np.complex128]:
         """Spectral lines of the decoupled components' readings by other rows, shape (n, m)."""
-        return np.asarray(np.einsum("ijp,ipjm->im", rows.forces, self.lines, optimize=True))
+        # the rows are real: products of real numbers, both parts of a line in their turn
+        count, powers, channels, size = self.lines.shape
+        parts = self.lines.view(np.float64).reshape(count, powers * channels, 2 * size)
+        found = np.matmul(rows.forces.transpose(0, 2, 1).reshape(count, 1, -1), parts)
+        return np.asarray(found.reshape(count, 2 * size).view(np.complex128))
 
     def evidence(
         self, rows: Rows, *, determinant: Array | None = None, told: NDArray[np.bool_] | None = None
