@@ -225,13 +225,14 @@ def test_an_error_of_the_zero_that_a_tare_takes_off_with_it_is_not_counted(rng, 
     assert (moved[0] < 0.02 * moved[1]).all()  # what the matrix changes by between loads as small as noise
     stated = [
         np.array([mean_loads(estimate_force(one, dynamics, method="paper")).errors.of_zero() for one in some])
-        for some in (with_tare[:9], without[:9])
+        for some in (with_tare[:3], without[:12])
     ]
-    assert (stated[0] < 1e-3 * stated[1]).all()
+    assert (stated[0] < 1e-3 * stated[1][:3]).all()
     place = [without[0].components.index(name) for name in dynamics.components]
-    # half of the records look as if they drifted, and of one in ten u is twice as large; a u of 10 batches, and what
-    # moved in 20 draws, are known to 24 and 16 %
-    np.testing.assert_allclose(np.median(stated[1], axis=0), moved[1][place], rtol=4 * np.hypot(0.24, 0.16))
+    # of white noise u is 1.32 times its standard deviation on average, and varies by 0.60, as some look as if they
+    # drifted (40 000 records); 12 of them tell the mean to 13 %, and 20 draws tell what moved to 16 %
+    ratio = stated[1].mean(axis=0) / moved[1][place]
+    np.testing.assert_allclose(ratio, 1.32, rtol=4 * np.hypot(0.13, 0.16))
     assert (with_tare[0].apart < without[0].apart).all()
 
 
