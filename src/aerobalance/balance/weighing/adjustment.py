@@ -122,7 +122,8 @@ class Adjustment:
     @property
     def parameters(self) -> tuple[str, ...]:
         """Names of the fitted parameters."""
-        return tuple(self.model.names[index] for index in self.kept)
+        names = self.model.names
+        return tuple(names[index] for index in self.kept)
 
 
 def natural_scales(model: WeightModel, readings: Readings) -> Array:

@@ -92,10 +92,7 @@ class WeightModel:
     @property
     def names(self) -> tuple[str, ...]:
         """All parameters: masses [kg], static moments [kg*m], offsets [N, N*m], misalignment [rad]."""
-        weights = dict.fromkeys(name for component in self.components for name in self.weight_terms(component))
-        ordered = sorted(weights, key=lambda name: not name.startswith("mass"))
-        offsets = [f"offset.{component}" for component in self.components]
-        return (*ordered, *offsets, *(f"misalignment.{angle}" for angle in ANGLES))
+        return _names(self)
 
     def loads(self, directions: Array, values: Array) -> Array:
         """Loads, shape (n, c) [N, N*m], from `weight_direction` and all parameters, shape (p,)."""
@@ -112,6 +109,15 @@ class WeightModel:
         for index, derivative in enumerate(derivatives):
             result[:, :, index - 3] = directions @ (derivative.T @ (weights @ values))
         return result
+
+
+@cache
+def _names(model: WeightModel) -> tuple[str, ...]:
+    """Names of all parameters, which a fit asks for a hundred times."""
+    weights = dict.fromkeys(name for component in model.components for name in model.weight_terms(component))
+    ordered = sorted(weights, key=lambda name: not name.startswith("mass"))
+    offsets = [f"offset.{component}" for component in model.components]
+    return (*ordered, *offsets, *(f"misalignment.{angle}" for angle in ANGLES))
 
 
 @cache
