@@ -363,19 +363,20 @@ def score_levels_and_noise(
             white[a] = line / root[a, a].real
             found -= white[a].real ** 2 + white[a].imag ** 2
         for i in range(2 * count):
+            begin = i if i < count else 0  # a force is in its own line and, whitened, in those after it
             line = 0j
-            for a in range(count):
+            for a in range(begin, count):
                 left = complex(np.sqrt(forces.gain[i, place])) if a == i else 0j
                 if i >= count:
                     left = rows[a, i - count]
-                for c in range(a):
+                for c in range(begin, a):
                     left -= root[a, c] * parts[i, c]
                 parts[i, a] = left / root[a, a].real
                 line += np.conj(parts[i, a]) * white[a]
             slope[i] += line.real**2 + line.imag**2
             for j in range(i + 1):
                 both = 0j
-                for a in range(count):
+                for a in range(max(begin, j if j < count else 0), count):
                     both += np.conj(parts[i, a]) * parts[j, a]
                 information[i, j] += both.real**2 + both.imag**2
                 if i == j:
