@@ -28,7 +28,7 @@ def test_six_components_from_millivolts_to_forces(
 ) -> None:
     monkeypatch.setattr(six_demo, "DURATION", 0.2)  # a fifth of the run takes a fifth of the time
     monkeypatch.setattr(six_demo, "INSTANT", 0.12013)
-    monkeypatch.setattr(six_demo, "RELEASE", 0.4)
+    monkeypatch.setattr(six_demo, "RELEASE", 0.2)
 
     def doubted(*args: Any, **settings: Any) -> Force:
         warn_quality("the coupling is neglected")  # a run of a fifth of the length may show nothing of it
