@@ -465,7 +465,7 @@ def test_one_mode_that_has_moved_is_told_from_a_narrow_load(what: str, place: in
 
     That is 3 to 10 times the mode's: the force was some 10 of its uncertainties off and fit for use.
     """
-    for _ in range(3):
+    for _ in range(trials(1, 3)):
         force = beside_a_mode(what, place, rng)
         if what == "narrow":
             assert not moves(force)

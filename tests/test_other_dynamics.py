@@ -405,7 +405,8 @@ def test_a_tone_that_wanders_is_no_other_resonance(ends, buffet, rng):
     assert looked_at(run, BARE).doubts(BARE) == []
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", [1, 0, 2])
+@pytest.mark.soak(first=1)
 def test_a_square_wave_is_no_balance_that_does_not_ring(seed):
     """Lines at all its harmonics, of which steps explain what is left; they were doubted in one of two records."""
     rng, fine, lead = np.random.default_rng(seed), 8, 4.0
