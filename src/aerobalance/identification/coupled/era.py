@@ -151,7 +151,7 @@ def _matrices(
     if sum(block.shape[1] for block in blocks) < order or (rows - 1) * n < order:
         return None
     # its left singular vectors are those of a triangle whose columns are turned, and are found in half the time
-    triangle = np.linalg.qr(np.hstack(blocks).T, mode="r").T
+    triangle = np.asarray(np.linalg.qr(np.hstack(blocks).T, mode="r")).T
     seen = np.linalg.svd(triangle, full_matrices=False)[0][:, :order]
     step = np.linalg.lstsq(seen[:-n], seen[n:], rcond=None)[0]
     growths, vectors = np.linalg.eig(step)
