@@ -173,9 +173,8 @@ class NormalisedPoints:
     def _coefficients(self, terms: tuple[Term, ...], choice: Choice, tares: Array) -> tuple[Array, Array]:
         """Coefficients (t, c) and series intercepts (s, c) alone, without the statistics that `regress` adds."""
         design, targets = self.design(terms, self.variables(tares)), self.targets
-        solved = [choice.solve(i, design, self.nuisance(i), values) for i, values in enumerate(targets.T)]
-        series = self.intercepts.shape[1]
-        return np.column_stack([C for C, _ in solved]), np.column_stack([left[:series] for _, left in solved])
+        C, left = choice.solve(design, [self.nuisance(i) for i in range(targets.shape[1])], targets)
+        return C, left[: self.intercepts.shape[1]]
 
     def _regress(self, terms: tuple[Term, ...], choice: Choice, tares: Array) -> tuple[Regression, ...]:
         design = self.design(terms, self.variables(tares))
@@ -225,8 +224,7 @@ class NormalisedPoints:
         total = self.loads + self.per_point(tares)
         x, y = (total, outputs) if self.way == "iterative" else (outputs, total)
         design = self.design(terms, x)
-        none = np.zeros((len(design), 0))
-        C = np.column_stack([choice.solve(i, design, none, values)[0] for i, values in enumerate(y.T)])
+        C, _ = choice.solve(design, [np.zeros((len(design), 0))] * y.shape[1], y)
         if self.way == "non-iterative":
             computed = design @ C
         else:

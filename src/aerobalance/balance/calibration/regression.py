@@ -62,13 +62,32 @@ class Choice:
         """All terms, by least squares."""
         return cls(np.ones((components, terms), dtype=bool), np.zeros((components, terms)))
 
-    def solve(self, index: int, design: Array, others: Array, values: Array) -> tuple[Array, Array]:
-        """Coefficients of one component, shape (t,), zero for terms left out, and of other columns, shape (s,)."""
-        mask = self.included[index]
-        X, y = _drawn_to_zero(np.hstack([design[:, mask], others]), values, self.penalty[index, mask])
-        solved = scipy.linalg.lstsq(X, y, lapack_driver="gelsy")[0]
-        kept = int(np.count_nonzero(mask))
-        return _spread(solved[:kept], mask, 0.0), np.asarray(solved[kept:])
+    def solve(self, design: Array, others: Sequence[Array], values: Array) -> tuple[Array, Array]:
+        """Coefficients of all components, shape (t, c), zero for terms left out, and of other columns, shape (s, c).
+
+        Components with the same terms, penalties and other columns are solved together.
+
+        Parameters
+        ----------
+        design
+            Shape (n, t).
+        others
+            Other columns of every component, each of shape (n, s).
+        values
+            Shape (n, c).
+        """
+        alike: dict[tuple[bytes, ...], list[int]] = {}
+        for index, (*choice, other) in enumerate(zip(self.included, self.penalty, others, strict=True)):
+            alike.setdefault((*(one.tobytes() for one in choice), other.tobytes()), []).append(index)
+        found = np.zeros((design.shape[1], values.shape[1]))
+        rest = np.zeros((others[0].shape[1], values.shape[1]))
+        for those in alike.values():
+            mask, penalty = self.included[those[0]], self.penalty[those[0]]
+            X, y = _drawn_to_zero(np.hstack([design[:, mask], others[those[0]]]), values[:, those], penalty[mask])
+            solved = scipy.linalg.lstsq(X, y, lapack_driver="gelsy")[0]
+            kept = int(np.count_nonzero(mask))
+            found[np.ix_(mask, those)], rest[:, those] = solved[:kept], solved[kept:]
+        return found, rest
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -339,7 +358,7 @@ def _drawn_to_zero(X: Array, y: Array, penalty: Array) -> tuple[Array, Array]:
     rows = np.flatnonzero(penalty)
     added = np.zeros((rows.size, X.shape[1]))
     added[np.arange(rows.size), rows] = np.sqrt(penalty[rows])
-    return np.vstack([X, added]), np.concatenate([y, np.zeros(rows.size)])
+    return np.vstack([X, added]), np.concatenate([y, np.zeros((rows.size, *y.shape[1:]))])
 
 
 def _spread(values: Array, included: NDArray[np.bool_], rest: float) -> Array:

@@ -127,10 +127,12 @@ def shrink(components: Sequence[Design], kinds: NDArray[np.intp]) -> Coefficient
 
 
 class _Problem(NamedTuple):
-    """A component's points by R and Q^T y of a QR decomposition, and the squares that no coefficient reaches."""
+    """A component's points by R and Q^T y of a QR decomposition, their products, and the squares none reaches."""
 
     R: Array
     turned: Array
+    squares: Array
+    products: Array
     beyond: float
     freedom: int
 
@@ -139,12 +141,12 @@ class _Problem(NamedTuple):
         Q, R = np.linalg.qr(points.design)
         turned = Q.T @ points.values
         rest = points.values - Q @ turned
-        return cls(R, turned, float(rest @ rest), points.freedom)
+        return cls(R, turned, R.T @ R, R.T @ turned, float(rest @ rest), points.freedom)
 
     def coefficients(self, penalty: Array) -> tuple[Array, Array]:
         """Coefficients, and their covariance over the variance of a reading."""
-        inverse: Array = np.linalg.inv(self.R.T @ self.R + np.diag(penalty)).astype(np.float64, copy=False)
-        return inverse @ (self.R.T @ self.turned), inverse
+        inverse: Array = np.linalg.inv(self.squares + np.diag(penalty)).astype(np.float64, copy=False)
+        return inverse @ self.products, inverse
 
     def scatter(self, coefficients: Array, unknowns: float) -> float:
         """Variance of a reading about the coefficients."""
