@@ -241,20 +241,28 @@ def _search(
     def columns_at(moved: Array) -> Array:
         return columns_of(time, shape, origin + scale * moved, lines, begin=begin, bent=bent, law=law)
 
+    latest: list[tuple[Array, Array, Array, Array]] = []  # slopes are asked where residuals were asked last
+
+    def solved(moved: Array) -> tuple[Array, Array, Array]:
+        """Columns, linear parameters and residuals."""
+        if not latest or not np.array_equal(latest[0][0], moved):
+            columns = columns_at(moved)
+            latest[:] = [(moved.copy(), columns, *projected(columns, values))]
+        return latest[0][1:]
+
     def residuals(moved: Array) -> Array:
-        return projected(columns_at(moved), values)[1]
+        return solved(moved)[2]
 
     def slopes(moved: Array) -> Array:
         """Slopes of the residuals; the change of the projection itself is left out [Kaufman1975]_."""
-        columns = columns_at(moved)
-        sizes, _ = projected(columns, values)
+        columns, sizes, _ = solved(moved)
         steps = SLOPE_STEP * np.eye(moved.size)
         changes = np.column_stack([(columns_at(moved + step) - columns) @ sizes for step in steps]) / SLOPE_STEP
         return -projected(columns, changes)[1]
 
     found = least_squares(residuals, np.zeros(origin.size), slopes, method="lm", xtol=1e-12, ftol=1e-12, max_nfev=150)
     vector = origin + scale * found.x
-    sizes, left = projected(columns_at(found.x), values)
+    _, sizes, left = solved(found.x)
     J = jacobian(time, shape, vector, lines, begin=begin, scale=scale, sizes=sizes, bent=bent, law=law)
     number = np.round((time - begin) * start.rate).astype(np.intp)
     covariance, colour = _covariance(
