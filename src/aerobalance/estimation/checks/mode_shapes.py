@@ -144,7 +144,7 @@ def force_errors(record: CoupledRecord, loads: Array, rows: Rows, bandwidth: Arr
     errors = []
     for one, other, highest in zip(record.decoupled, rows.forces, bandwidth, strict=True):
         powers = powers_of(one, loads, interval=record.interval)
-        change = np.einsum("npj,jp->n", powers, one.row - other, optimize=True)
+        change = np.einsum("pjn,jp->n", powers, one.row - other, optimize=True)
         closed = np.concatenate([change, change[0] + (change[-1] - change[0]) * back])  # its ends meet
         lines = np.fft.rfft(closed) / one.dynamics.response(frequency) * (frequency <= highest)
         errors.append(np.fft.irfft(lines, 2 * count)[:count])

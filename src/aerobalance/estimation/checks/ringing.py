@@ -123,13 +123,15 @@ class Rows:
         companion = np.eye(len(others) * size, k=-size)
         for place, power in enumerate(others):
             companion[:size, place * size : (place + 1) * size] = -np.linalg.solve(first, power * scale ** (place + 1))
-        product = np.full(frequency.size, np.linalg.det(first) ** 2)
+        product, square = np.full(frequency.size, np.linalg.det(first) ** 2), along**2
         for one in np.linalg.eigvals(companion):
-            factor, rest = 1 + along * one.imag, along * one.real
-            factor *= factor
-            rest *= rest
-            factor += rest
-            product *= factor
+            if one.imag > 0:  # |1 - s / s_i|^2 of a pair
+                factor = 1 - float(abs(one)) ** 2 * square
+                factor *= factor
+                factor += (4 * one.real**2) * square
+                product *= factor
+            elif not one.imag:
+                product *= 1 + one.real**2 * square
         return np.asarray(np.log(product))
 
     def with_signs(self, signs: Array) -> Rows:
@@ -213,9 +215,9 @@ class RingingSpectra:
             powers = powers_of(one, loads, interval=interval)
             seen = Periodogram.of(loads[:, one.place], one.dynamics, interval=interval)
             product = _product_of_modes(one, seen.ordinates[0, : last - 2])
-            driven = np.fft.rfft(powers * window[:, None, None], axis=0)
-            forces.append(np.abs(np.einsum("mpj,jp->m", driven, one.row, optimize=True)) ** 2)
-            own[:] = (driven[inside] * product[:, None, None]).transpose(1, 2, 0)
+            driven = np.fft.rfft(powers * window)
+            forces.append(np.abs(np.einsum("pjm,jp->m", driven, one.row, optimize=True)) ** 2)
+            np.multiply(driven[..., inside], product, out=own)
             over.append(np.abs(product) ** 2)
             gains.append(seen.ordinates[2, : last - 2] * over[-1])
         frequency = np.arange(2, last) * step
@@ -402,11 +404,11 @@ def _product_of_modes(one: DecoupledChannel, frequency: Array) -> NDArray[np.com
 
 
 def powers_of(one: DecoupledChannel, loads: Array, *, interval: float) -> Array:
-    """All powers of s over the modes of a decoupled component, driven by every channel, shape (samples, p, n)."""
+    """All powers of s over the modes of a decoupled component, driven by every channel, shape (p, n, samples)."""
     count = one.row.shape[1]
     direct, by_value, by_rate = partial_fractions(np.eye(count), one.dynamics.modes)
-    found = direct[:, None] * loads[:, None, :]
+    found = direct[:, None, None] * np.ascontiguousarray(loads.T)
     for place, mode in enumerate(one.dynamics.modes):
         value, rate = values_and_rates(mode, loads, interval=interval)
-        found += by_value[:, place, None] * value.T[:, None, :] + by_rate[:, place, None] * rate.T[:, None, :]
+        found += by_value[:, place, None, None] * value + by_rate[:, place, None, None] * rate
     return np.asarray(found)
