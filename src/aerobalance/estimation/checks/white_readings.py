@@ -210,11 +210,15 @@ def _orthonormal(columns: Array) -> Array:
     scale[scale == 0] = 1.0
     information, vectors = np.linalg.eigh(columns.T @ columns / np.outer(scale, scale))
     kept = information > DEPENDENT**2 * information[-1]
-    return np.asarray(columns @ (vectors[:, kept] / np.sqrt(information[kept]) / scale[:, None]))
+    return np.asarray((vectors[:, kept] / np.sqrt(information[kept]) / scale[:, None]).T @ columns.T).T
 
 
 def _less(series: Array, basis: Array) -> Array:
-    """Series less what a basis explains of them, of their shape; twice, as the basis is orthonormal to rounding."""
+    """Series less what a basis explains of them, of their shape; twice, as the basis is orthonormal to rounding.
+
+    Along rows, as memory has what a filter returns.
+    """
+    rows = series.T
     for _ in range(2):
-        series = series - basis @ (basis.T @ series)
-    return series
+        rows = rows - (rows @ basis) @ basis.T
+    return rows.T
