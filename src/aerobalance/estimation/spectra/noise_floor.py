@@ -50,7 +50,6 @@ from aerobalance.estimation.spectra.whittle import (
     likeliest_of,
     quiet_levels,
 )
-from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.recording.channel import Array
 from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import argument
@@ -324,22 +323,18 @@ def _color(reading: Observation, periodogram: Periodogram, found: NoiseLevels, *
     interval, frequency = reading.interval, periodogram.frequency
     white = float(profile.min())
     above = profile - white
-    highest = 0.5 / interval
     step = np.flatnonzero(np.diff(above))
     centre = float(frequency[step[int(np.argmax(np.abs(np.diff(above))[step]))]])
     mean = float(np.average(profile, weights=periodogram.count))
 
-    def whole(f: Array) -> Array:
-        # the process goes on beyond half the sampling rate, and is folded back as much as it has fallen there
-        ratio = f / highest
-        folded = 1 / (1 + ratio**8) + 1 / (1 + (2 - np.minimum(ratio, 2)) ** 8)
-        known = np.interp(np.where(f > highest, 2 * highest - f, f), frequency, above) + CLOSE**2 * white
-        return np.asarray(known / folded / (1 + ratio**8))
+    def known(f: Array) -> Array:
+        return np.asarray(np.interp(f, frequency, above) + CLOSE**2 * white)
 
-    shaping = ShapingFilter.of_spectrum(whole, centre=centre, tolerance=CLOSE * float(np.sqrt(mean)))
+    tolerance = CLOSE * float(np.sqrt(mean))
+    color = ShapedNoise.of_density(known, interval=interval, centre=centre, tolerance=tolerance)
     colored = frequency[found.seen & (profile > DIFFERENT * white)]
     first, last = float(colored[0]), float(colored[-1])
-    return _Color(first, last, float(np.sqrt(white / interval)), ShapedNoise(shaping, interval))
+    return _Color(first, last, float(np.sqrt(white / interval)), color)
 
 
 def lasts(left: Array, *, first: float, interval: float, noise: float, last: float = np.inf) -> bool:

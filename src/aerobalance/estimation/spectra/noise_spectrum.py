@@ -13,6 +13,7 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -168,6 +169,37 @@ class ShapedNoise:
     def shapings(self) -> tuple[ShapingFilter, ...]:
         """Shaping filters that make the processes out of white noise: one."""
         return (self.shaping,)
+
+    @classmethod
+    def of_density(
+        cls,
+        density: Callable[[Array], Array],
+        *,
+        interval: float,
+        centre: float,
+        tolerance: float,
+    ) -> ShapedNoise:
+        """Approximate a density of samples by a process in continuous time.
+
+        Parameters
+        ----------
+        density
+            Two-sided density of the samples at frequencies from 0 to half the sampling rate [Hz], above 0 [N^2/Hz].
+        interval
+            Time between samples [s].
+        centre, tolerance
+            As for `ShapingFilter.of_spectrum`.
+        """
+        highest = 0.5 / interval
+
+        def whole(f: Array) -> Array:
+            ratio = f / highest
+            # the process goes on beyond half the sampling rate, and is folded back as much as it has fallen there
+            folded = 1 / (1 + ratio**8) + 1 / (1 + (2 - np.minimum(ratio, 2)) ** 8)
+            known = density(np.where(f > highest, np.maximum(2 * highest - f, 0.0), f))
+            return np.asarray(known / folded / (1 + ratio**8))
+
+        return cls(ShapingFilter.of_spectrum(whole, centre=centre, tolerance=tolerance), interval)
 
     def density(self, frequency: Array, *, width: float = 0.0) -> Array:
         """Two-sided density of the samples at frequencies [Hz], with the aliases from either side [N^2/Hz].
