@@ -169,6 +169,17 @@ def test_a_harmonic_of_both_mains_is_told_once(rng):
     assert power == pytest.approx(0.5**2 / 2, rel=3 * 0.08)
 
 
+def test_an_edge_of_a_band_is_no_line(rng):
+    """At multiples of the frequencies of the mains, and as high as the noise beside it is low."""
+    values = noise_of(rng, lambda f: WHITE * np.where((f >= 250) & (f <= 350), 51.0, 1.0))
+    seen = noise_ordinates.Ordinates.of(values, T128, interval=1 / RATE)
+    assert seen.hum == ()
+    assert seen.lines == ()
+    inside = (seen.frequency > 252) & (seen.frequency < 348)
+    # a thousand ordinates, nine tenths of them as good as independent: six standard deviations
+    assert np.average(seen.density[inside], weights=seen.weight[inside]) == pytest.approx(51 * WHITE, rel=0.2)
+
+
 def test_longest_stretch_is_taken(rng):
     values = rng.normal(0, 50, 4000)
     values[1000:] = rng.normal(0, 2, 3000)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -142,11 +144,14 @@ def _drifting_mains(power: Array, frequency: Array) -> Iterator[tuple[Hump, NDAr
     for mains in MAINS:
         bands = []
         for number in range(1, MOST_HARMONICS + 1):
-            off = np.abs(frequency / (number * mains) - 1)
-            near, beside = off < DRIFTS, (off >= DRIFTS) & (off < 4 * DRIFTS)
+            off = frequency / (number * mains) - 1
+            near = np.abs(off) < DRIFTS
+            sides = [(side * off >= DRIFTS) & (side * off < 4 * DRIFTS) for side in (1, -1)]
+            beside = sides[0] | sides[1]
             if number * mains * (1 + DRIFTS) > frequency[-1] or np.count_nonzero(beside) < 2 * FIRST_LINE:
                 continue
-            level = float(np.median(power[beside])) / np.log(2)
+            # a line stands out of both sides; at the edge of a band one of them is as high
+            level = max(float(np.median(power[side])) for side in (beside, *sides) if side.any()) / np.log(2)
             if float(power[near].max()) < limit * level:
                 continue
             excess = np.maximum(power[near] - level, 0.0)
@@ -174,7 +179,25 @@ def _lines(power: Array) -> NDArray[np.bool_]:
         level = float(np.median(near)) / np.log(2)
         found[part] = power[part] > 1.5 * limit * level
         first = part.stop
-    return found
+    return _standing_out_near(power, found, 1.5 * limit)
+
+
+def _standing_out_near(power: Array, found: NDArray[np.bool_], ratio: float) -> NDArray[np.bool_]:
+    """Those of the ordinates found that stand out of what is next to them too: else a band of noise is there."""
+    borders = [0]
+    while borders[-1] < power.size:
+        borders.append(borders[-1] + max(2 * FIRST_LINE, int(FINENESS * borders[-1])))
+
+    @cache
+    def level(block: int) -> float:
+        part = power[borders[block] : borders[block + 1]] if 0 <= block < len(borders) - 1 else power[:0]
+        return float(np.median(part)) / np.log(2) if part.size >= FIRST_LINE else 0.0
+
+    kept = found.copy()
+    for place in np.flatnonzero(found):
+        block = bisect_right(borders, place) - 1
+        kept[place] = power[place] > ratio * max(level(near) for near in (block - 1, block, block + 1))
+    return kept
 
 
 def _averages(index: NDArray[np.intp]) -> NDArray[np.intp]:
