@@ -123,6 +123,16 @@ def test_hump_is_found_beside_a_corner(rng):
     assert np.all(np.abs(np.log(found.density(frequency) / truth)) < bounds)
 
 
+def test_no_corner_is_found_beside_a_hump_alone():
+    """Chance brings its evidence in one of 400 records."""
+    hump = Hump(300.0, 0.4, 2 * WHITE)
+    for seed in range(4):
+        values = noise_of(np.random.default_rng(seed), lambda f: WHITE + hump.density(f), longer=2)
+        found = noise_spectrum_of(values, T128, interval=1 / RATE)
+        assert len(found.humps) == 1
+        assert not found.corner
+
+
 def test_swinging_and_mains_are_no_noise(rng):
     t = np.arange(16_000) / RATE
     values = rng.normal(0, 2, t.size) + 3 * np.sin(2 * np.pi * 50 * t) + np.sin(2 * np.pi * 410 * t)

@@ -211,12 +211,13 @@ def _with_humps(best: Array, here: float, seen: Ordinates, mean: float, *, slow:
     """The likeliest point of a cost with as many humps as there is evidence for, with a 1/f part or without."""
     for _ in range(MOST_HUMPS):
         start = _hump_start(best, seen)
-        trials = [_lowered(np.concatenate([best, start]), seen, mean)]
+        trials = [(*_lowered(np.concatenate([best, start]), seen, mean), 0.0)]
         if slow and not np.isfinite(best[1]):  # a hump may have hidden the corner
             trials += [
-                _lowered(np.concatenate([other, start]), seen, mean) for other in _slow_starts(best[:3], seen)[:1]
+                (*_lowered(np.concatenate([other, start]), seen, mean), COLOR_EVIDENCE)
+                for other in _slow_starts(best[:3], seen)[:1]
             ]
-        trial, cost = min(trials, key=lambda pair: pair[1])
+        trial, cost, _ = min(trials, key=lambda one: one[1] + one[2])
         if here - cost < HUMP_EVIDENCE or not _corner_inside(trial, seen):
             break
         best, here = trial, cost
