@@ -1,13 +1,16 @@
 """Noise with a color: its spectrum as states, learned from a record of noise alone, and what it does to a force."""
 
+import warnings
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal
 
-from aerobalance.estimation.spectra import noise_ordinates, noise_record
+from aerobalance.estimation.spectra import noise_bands, noise_ordinates, noise_record
 from aerobalance.estimation.spectra.noise_record import noise_spectrum_of
-from aerobalance.estimation.spectra.noise_spectrum import EXPONENTS, ColoredNoise, Hump, NoiseSpectrum
+from aerobalance.estimation.spectra.noise_spectrum import EXPONENTS, Band, ColoredNoise, Hump, NoiseSpectrum
 from aerobalance.estimation.statespace.kalman import KalmanFilter, StateSpace
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.recording.errors import DataQualityWarning, FitError
@@ -198,10 +201,138 @@ def test_longest_stretch_is_taken(rng):
     assert noise_spectrum_of(values, T128, interval=1 / RATE).deviation == pytest.approx(2, rel=0.08)
 
 
-def test_floor_that_falls_is_told(rng):
-    values = noise_of(rng, lambda f: WHITE * np.where(f > 500, 0.02, 1.0))
-    with pytest.warns(DataQualityWarning, match="no white noise with 1/f and broad humps"):
+def test_noise_that_nothing_follows_is_told(rng):
+    """As 1 / f^4 below 5 Hz: no 1/f part is as steep, and 16 ordinates there are no band."""
+    values = noise_of(rng, lambda f: WHITE * (1 + (5 / f) ** 4))
+    with pytest.warns(DataQualityWarning, match="no white noise with 1/f, broad humps and bands"):
         noise_spectrum_of(values, T128, interval=1 / RATE)
+
+
+def between(first: float, last: float, level: float):
+    return lambda f: np.where((f >= first) & (f <= last), level * WHITE, 0.0)
+
+
+def learned(rng, density, *, n: int = 16_000) -> NoiseSpectrum:
+    """What is found, with no word on a lack of fit."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DataQualityWarning)
+        return noise_spectrum_of(noise_of(rng, density, n=n), T128, interval=1 / RATE)
+
+
+@pytest.mark.parametrize("n", [8_000, 16_000, 96_000])
+@pytest.mark.parametrize(("corner", "level"), [(0.0, 2.0), (0.0, 50.0), (20.0, 50.0)])
+def test_band_is_found_with_its_edges(rng, n, corner, level):
+    """Its edges at multiples of 50 Hz, where a step of the density is no line of the mains."""
+    found = learned(rng, lambda f: WHITE * (1 + corner / f) + between(250, 350, level)(f), n=n)
+    (band,) = found.bands
+    assert not found.humps
+    assert not found.hum
+    assert found.left_out == ()
+    assert bool(found.corner) == bool(corner)
+    # an edge is missed by so many ordinates that the log-likelihood says it: of each log r - 1 + 1 / r on average (3
+    # at 51 to 1, 0.43 at 3 to 1) against chance, by 13 at worst for 6 standard deviations; and the window smears two
+    ratio = 1 + level
+    ordinate = RATE / n
+    missed = (18 / (np.log(ratio) - 1 + 1 / ratio) + 2) * ordinate
+    assert band.first == pytest.approx(250, abs=missed)
+    assert band.last == pytest.approx(350, abs=missed)
+    # n / 8 ordinates are in it, of which nine tenths are as good as independent; their mean to six of its deviations
+    spread = 6 / np.sqrt(0.9 * n / 16)
+    assert band.level + found.white == pytest.approx(ratio * WHITE, rel=spread)
+    assert found.white == pytest.approx(WHITE, rel=6 / np.sqrt(0.3 * n))
+    assert f"{band.level / found.white:.3g} times its density between" in str(found)
+
+
+@pytest.mark.parametrize("fallen", [0.02, 1e-3, 1e-6])
+@pytest.mark.parametrize("corner", [0.0, 20.0])
+def test_cut_of_a_digital_filter_ends_the_slow_part_as_well(rng, corner, fallen):
+    found = learned(rng, lambda f: WHITE * (1 + corner / f) * np.where(f > 760, fallen, 1.0))
+    assert not found.humps
+    frequency = np.array([3.0, 30.0, 200.0, 500.0, 750.0, 775.0, 795.0])
+    truth = WHITE * (1 + corner / frequency) * np.where(frequency > 760, fallen, 1.0)
+    # 400 ordinates beyond the cut, and 30 to 3 Hz: six of their standard deviations
+    bounds = 6 / np.sqrt([30, 150, 2000, 2000, 2000, 350, 350])
+    assert np.all(np.abs(np.log(found.density(frequency) / truth)) < bounds)
+    assert (f"1/f^{found.exponent:.2g} below" in str(found)) == bool(corner)
+    if corner:
+        # what is told is where the slow part falls below the rest, not below what the filter leaves
+        told = float(str(found).split("below ")[1].split(" Hz")[0])
+        assert np.log(told / corner) == pytest.approx(0, abs=0.6)
+
+
+@pytest.mark.parametrize("fallen", [1.0, 0.01])
+def test_noise_of_a_converter_that_rises_as_a_power_is_one_band(rng, fallen):
+    """Shaped noise of the second order: as f^4 up to 0.98 of half the rate."""
+    top = 784.0
+    found = learned(rng, lambda f: WHITE * np.where(f < top, 1 + 100 * (f / top) ** 4, fallen))
+    (band,) = (one for one in found.bands if one.exponent)
+    assert not found.humps
+    assert band.last == pytest.approx(top, abs=1.0)
+    # a straight line through the logarithms of some 5,000 ordinates from 400 Hz on, where it is more than half of the
+    # noise: their logarithm of frequency has a deviation of 0.2, so 0.07 of the exponent; six of these
+    assert band.exponent == pytest.approx(4, abs=0.42)
+    frequency = np.array([100.0, 300.0, 500.0, 700.0, 780.0])
+    truth = WHITE * (1 + 100 * (frequency / top) ** 4)
+    assert np.all(np.abs(np.log(found.density(frequency) / truth)) < 0.15)
+
+
+def test_smooth_noise_has_no_edges():
+    """A hump of any height, a corner, both, and white noise: chance makes no bands of them."""
+    hump, high = Hump(300.0, 0.4, 2 * WHITE), Hump(300.0, 0.2, 50 * WHITE)
+    shapes = (
+        lambda f: WHITE + 0 * f,
+        lambda f: WHITE * (1 + 10 / f),
+        lambda f: WHITE + hump.density(f),
+        lambda f: WHITE + high.density(f),
+        lambda f: WHITE * (1 + 10 / f) + hump.density(f),
+    )
+    for seed in range(10):
+        for number, shape in enumerate(shapes):
+            values = noise_of(np.random.default_rng(seed), shape, longer=2)
+            found = noise_spectrum_of(values, T128, interval=1 / RATE)
+            assert found.bands == ()
+            assert bool(found.humps) == (number >= 2)
+            assert bool(found.corner) == (number in (1, 4))
+
+
+def test_slopes_of_bands_are_differences(rng):
+    seen = noise_ordinates.Ordinates.of(rng.normal(0, 2, 4000), T128, interval=1 / RATE)
+    numbers = np.concatenate([np.log([WHITE, 10 * WHITE]), [1.3, np.log(3 * WHITE), 0.0, np.log(20 * WHITE), 3.0]])
+    edges = np.array([[0.0, 500.0], [300.0, 700.0]])
+    noise = noise_bands.BandedNoise(numbers, edges, np.array([False, True]), 600.0)
+    slopes, small = noise.slopes(seen, noise.parts(seen)), 1e-5
+    for place in np.flatnonzero(noise.free):
+        late, early = (
+            replace(noise, numbers=numbers + sign * small * np.eye(numbers.size)[place]).model(seen)
+            for sign in (1, -1)
+        )
+        # as of humps, above
+        assert slopes[place] == pytest.approx((late - early) / (2 * small), abs=1e-7 * WHITE)
+
+
+@pytest.mark.parametrize("over", [50.0, 1e3, 1e5])
+@pytest.mark.parametrize(
+    ("first", "last", "exponent"), [(250.0, 350.0, 0.0), (0.0, 760.0, 0.0), (400.0, 784.0, 4.0), (500.0, 800.0, 0.0)]
+)
+def test_states_follow_bands(first, last, exponent, over):
+    """Within the band to 5 %; beside it the process leaves the white part to a fifth, however strong the band is."""
+    noise = replace(known(0.0), bands=(Band(first, last, over * WHITE, exponent),))
+    color = noise.colored_part(5.0)
+    frequency = np.linspace(1.0, RATE / 2 - 1, 4000)
+    found, truth = WHITE + color.density(frequency), noise.density(frequency)
+    # the edges are moved outward by 0.014 of the circle that frequency is bent on to, f = f_w tan(theta / 2),
+    # with f_w at the strongest edge; a band that goes on beyond half the rate ends there too, and that is folded back
+    centre = last if exponent or not first else first
+    near = np.zeros(frequency.size, dtype=bool)
+    for edge, place in ((first, first), (last, last), (RATE - first, first)):
+        reach = 0.014 * centre / 2 * (1 + (edge / centre) ** 2)
+        counts = 0 < place < RATE / 2 and (edge == place or last == RATE / 2)
+        near |= counts & (np.abs(frequency - place) < reach)
+    inside = (frequency >= first) & (frequency <= last)
+    rising = truth > 2 * WHITE
+    assert np.all(np.abs(np.log(found / truth))[inside & rising & ~near] < 0.05)
+    assert np.all(np.abs(np.log(found / truth))[~inside & ~near] < 0.2)
+    assert sum(shaping.order for shaping in color.shapings) <= 32
 
 
 def test_what_is_no_record_of_noise_is_refused(monkeypatch, rng):

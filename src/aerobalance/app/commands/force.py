@@ -267,6 +267,10 @@ def noise_result(spectrum: NoiseSpectrum) -> Result:
         "humps": [
             {"frequency": hump.frequency, "relative_width": hump.width, "level": hump.level} for hump in spectrum.humps
         ],
+        "bands": [
+            {"first": band.first, "last": band.last, "level": band.level, "exponent": band.exponent}
+            for band in spectrum.bands
+        ],
         "lines_left_out": list(spectrum.left_out),
     }
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Final
 
@@ -46,6 +46,9 @@ from one minute to the next, and is narrower than what a run of some seconds res
 DRIFTS: Final = 0.01
 """Relative distance from a frequency of the mains up to which a narrow band is a line of them that drifts."""
 
+FEWEST_AVERAGED: Final = 4.0
+"""Ordinates that are averaged at least where levels are looked for, but at the lowest frequencies."""
+
 FIRST_LINE: Final = 8
 """Ordinates on either side of it from which its surroundings are told."""
 
@@ -72,6 +75,12 @@ class Ordinates:
         Frequencies of lines that are left out [Hz].
     hum
         Lines of the mains, as narrow peaks.
+    single
+        Number, density and gain of each ordinate that is averaged, shape (3, n); None where only averages are known.
+    share
+        Independent ordinates over ordinates [1].
+    step
+        Distance of the ordinates [Hz].
     """
 
     frequency: Array
@@ -82,6 +91,9 @@ class Ordinates:
     interval: float
     lines: tuple[float, ...]
     hum: tuple[Hump, ...] = ()
+    single: Array | None = None
+    share: float = 1.0
+    step: float = 0.0
 
     @classmethod
     def of(
@@ -123,12 +135,56 @@ class Ordinates:
         edges = _averages(index)
         count = np.diff(np.append(edges, index.size))
         kept_only = np.stack([frequency, power, gain])[:, index]
+        step = float(frequency[1])
         frequency, power, gain = np.add.reduceat(kept_only, edges, axis=1) / count
         # the taper's ordinates are not independent: as many as sum(w^2)^2 / sum(w^4) readings give
         share = float(np.sum(window**2) ** 2 / np.sum(window**4) / values.size)
         separate = [float(f) for f in places[np.diff(places, prepend=-9) > 2] / (values.size * interval)]
         lines_left_out = tuple(sorted([*mains, *separate]))
-        return cls(frequency, power, count * share, gain, gain * input_density, interval, lines_left_out, tuple(hum))
+        return cls(
+            frequency,
+            power,
+            count * share,
+            gain,
+            gain * input_density,
+            interval,
+            lines_left_out,
+            tuple(hum),
+            np.stack([index, *kept_only[1:]]),
+            share,
+            step,
+        )
+
+    def averaged(self, *, fineness: float, apart: Sequence[tuple[float, float]] = ()) -> Ordinates:
+        """The same with other averages.
+
+        Parameters
+        ----------
+        fineness
+            Width of an average over its frequency.
+        apart
+            Parts that are left out, from one frequency to another [Hz]; no average is over one of them.
+        """
+        assert self.single is not None  # it is of a record, not of averages
+        index = self.single[0]
+        kept, borders = np.ones(index.size, dtype=np.bool_), [index[0]]
+        while borders[-1] < index[-1]:
+            here = borders[-1]
+            # of few ordinates a level is uncertain, but within a tenth of its frequency 1/f^2 does not bend
+            borders.append(here + max(1.0, min(FEWEST_AVERAGED, here // 10), here * fineness // 1))
+        for first, last in apart:
+            low, high = np.ceil(first / self.step), np.floor(last / self.step)
+            kept &= (index < low) | (index > high)
+            borders += [low, high + 1]
+        parts = self.single[:, kept]
+        edges = np.unique(np.searchsorted(parts[0], np.sort(borders)))
+        edges = edges[edges < parts.shape[1]]
+        count = np.diff(np.append(edges, parts.shape[1]))
+        index, density, gain = np.add.reduceat(parts, edges, axis=1) / count
+        fixed = gain * (self.fixed[0] / self.gain[0])
+        return replace(
+            self, frequency=index * self.step, density=density, weight=count * self.share, gain=gain, fixed=fixed
+        )
 
     @property
     def lowest_hump(self) -> float:

@@ -1,8 +1,10 @@
 r"""The spectrum of a reading's noise learned from a record of noise alone: wind off, balance at rest.
 
 Level, corner, exponent and humps are found by Whittle's likelihood [Whittle1953]_; a corner or a hump is taken up only
-on evidence. What shakes in the balance itself is no noise of the reading: frequencies near its modes are left out, and
-so are the mains and other lines (`aerobalance.estimation.spectra.noise_ordinates`).
+on evidence. Where levels and powers of frequency between edges have more evidence, these are taken in place of humps
+(`aerobalance.estimation.spectra.noise_bands`). What shakes in the balance itself is no noise of the reading:
+frequencies near its modes are left out, and so are the mains and other lines
+(`aerobalance.estimation.spectra.noise_ordinates`).
 
 References
 ----------
@@ -18,6 +20,7 @@ from scipy.optimize import minimize
 from scipy.special import gammainc, gammaincc
 
 from aerobalance.dynamics.modal import ModalModel
+from aerobalance.estimation.spectra.noise_bands import FINE, NUMBER_EVIDENCE, BandedNoise, banded, cost_of, departs
 from aerobalance.estimation.spectra.noise_ordinates import FEWEST_SAMPLES, Ordinates
 from aerobalance.estimation.spectra.noise_spectrum import EXPONENTS, Hump, NoiseSpectrum
 from aerobalance.recording.channel import Array
@@ -84,8 +87,46 @@ def noise_spectrum_of(
         raise FitError(f"{name}: {dynamics.component} does not change; a record of its noise is needed")
     seen = Ordinates.of(values, dynamics, interval=interval, input_density=input_density, name=name)
     point = fitted(seen)
-    _tell_of_lack_of_fit(seen, model_of(point, seen), component=dynamics.component, name=name)
-    return _spectrum_of(point, seen)
+    edged = _likelier_with_edges(point, seen)
+    if edged is None:
+        _tell_of_lack_of_fit(seen, model_of(point, seen), component=dynamics.component, name=name)
+        return _spectrum_of(point, seen)
+    noise, clear = edged
+    _tell_of_lack_of_fit(clear, noise.model(clear), component=dynamics.component, name=name)
+    return _spectrum_with_edges(noise, clear)
+
+
+def _likelier_with_edges(point: Array, seen: Ordinates) -> tuple[BandedNoise, Ordinates] | None:
+    """Noise with edges, and the averages that tell its levels; None where a point without edges is likelier."""
+    fine = seen.averaged(fineness=FINE)
+    if point.size == 3 and not departs(fine, model_of(point, fine)):
+        return None
+    found = banded(seen)
+    if found is None:
+        return None
+    noise, clear = found
+    numbers = 3 * len(humps_of(point)) + 2 * np.isfinite(point[1])
+    smooth = cost_of(model_of(point, clear), clear) + NUMBER_EVIDENCE * numbers
+    edged = cost_of(noise.model(clear), clear) + noise.price(0.5 / seen.interval)
+    return found if edged < smooth else None
+
+
+def _spectrum_with_edges(noise: BandedNoise, seen: Ordinates) -> NoiseSpectrum:
+    """The spectrum of a noise with edges."""
+    covariance, (white, slow, exponent) = noise.covariance(seen), noise.numbers[:3]
+    return NoiseSpectrum(
+        white=float(np.exp(white)),
+        corner=float(np.exp((slow - white) / exponent)) if noise.slow else 0.0,
+        exponent=float(exponent) if noise.slow else 0.0,
+        humps=(),
+        interval=seen.interval,
+        covariance=covariance[1:3, 1:3],
+        u_white=float(np.sqrt(covariance[0, 0])),
+        left_out=seen.lines,
+        hum=seen.hum,
+        bands=noise.bands,
+        slow_end=noise.slow_end,
+    )
 
 
 def likeliest_slow(start: Array, seen: Ordinates, usual: tuple[float, float]) -> tuple[NoiseSpectrum, Array]:
@@ -148,9 +189,9 @@ def _tell_of_lack_of_fit(seen: Ordinates, model: Array, *, component: str, name:
     if wrong.size:
         worst = int(wrong[np.argmax(np.abs(np.log(ratio[wrong])))])
         warn_quality(
-            f"{name}: the noise of {component} is no white noise with 1/f and broad humps: between {edges[worst]:.3g} "
-            f"and {edges[worst + 1]:.3g} Hz its power is {ratio[worst]:.2g} times what is taken; the uncertainty of a "
-            "force there is wrong by as much"
+            f"{name}: the noise of {component} is no white noise with 1/f, broad humps and bands: between "
+            f"{edges[worst]:.3g} and {edges[worst + 1]:.3g} Hz its power is {ratio[worst]:.2g} times what is taken; "
+            "the uncertainty of a force there is wrong by as much"
         )
 
 
@@ -189,11 +230,6 @@ def slopes_of(point: Array, seen: Ordinates) -> Array:
 def humps_of(point: Array) -> tuple[Hump, ...]:
     """The humps of a point."""
     return tuple(Hump(*(float(number) for number in np.exp(part))) for part in point[3:].reshape(-1, 3))
-
-
-def cost_of(model: Array, seen: Ordinates) -> float:
-    """Less the logarithm of Whittle's likelihood."""
-    return float(seen.weight @ (np.log(model) + seen.density / model))
 
 
 def fitted(seen: Ordinates) -> Array:

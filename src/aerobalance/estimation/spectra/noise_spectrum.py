@@ -1,8 +1,9 @@
-r"""Power spectral density of the noise of a reading: a white part, a 1/f part below a corner, and broad humps.
+r"""Power spectral density of the noise of a reading: a white part, a 1/f part below a corner, humps or bands.
 
-The two-sided density is R (1 + (f_c / f)^a) plus the humps. For the estimator, which needs processes of few states,
-the 1/f part becomes a sum of relaxations (first-order Markov processes, one state each) whose corners are a factor
-`CORNER_RATIO` apart [Keshner1982]_, and a hump becomes an oscillator of two states.
+The two-sided density is R (1 + (f_c / f)^a) plus broad humps, or plus bands between edges. For the estimator, which
+needs processes of few states, the 1/f part becomes a sum of relaxations (first-order Markov processes, one state each)
+whose corners are a factor `CORNER_RATIO` apart [Keshner1982]_, a hump becomes an oscillator of two states, and all
+bands become one shaping filter, which leaves the white part beside them as it is.
 
 Readings are written in N; for a moment, read N*m.
 
@@ -34,6 +35,21 @@ SLOWEST: Final = 1 / 3
 
 NARROW: Final = 4.0
 """Width of a hump over that of what it is averaged over, up to which that changes it."""
+
+ASIDE: Final = 1e-6
+"""Distance from an edge, over its frequency, at which the density on either side of it is taken."""
+
+MEAN_AT: Final = 4096
+"""Frequencies at which the mean of a density is taken."""
+
+CROSSING_AT: Final = 2001
+"""Frequencies at which it is looked for where the 1/f part falls below the rest."""
+
+BESIDE: Final = 0.3
+"""Error of the root of the density that a filter makes beside the bands of a noise, over the root of the white one."""
+
+CLOSE: Final = 0.03
+"""The same within them, over the root of the mean density."""
 
 NEGLIGIBLE: Final = 0.01
 """Density of the 1/f part over the white one [1]; at frequencies where it is lower it needs no relaxation."""
@@ -97,6 +113,42 @@ class Hump:
         return ShapingFilter(drift, np.array([self.width * w * np.sqrt(self.level), 0.0]))
 
 
+@dataclass(frozen=True, slots=True)
+class Band:
+    """A part of the noise between two edges: a two-sided density of level (f / f_2)^b, and none beyond them.
+
+    Attributes
+    ----------
+    first, last
+        Its edges [Hz], the upper one f_2.
+    level
+        Its two-sided density below the upper edge, added to that of the other parts [N^2/Hz].
+    exponent
+        Power b of frequency as which it rises [1]; 0 for a constant level.
+    """
+
+    first: float
+    last: float
+    level: float
+    exponent: float = 0.0
+
+    def density(self, frequency: Array) -> Array:
+        """Two-sided density of the samples at frequencies [Hz], of their shape [N^2/Hz]."""
+        inside = (frequency >= self.first) & (frequency <= self.last)
+        if not self.exponent:
+            return np.where(inside, self.level, 0.0)
+        return np.where(
+            inside, self.level * (np.where(inside, frequency, self.last) / self.last) ** self.exponent, 0.0
+        )
+
+    def told(self, white: float) -> str:
+        """In words, beside a white density [N^2/Hz]."""
+        size = f"{self.level / white:.3g} times its density between {self.first:.4g} and {self.last:.4g} Hz"
+        if not self.exponent:
+            return f"a band of {size}"
+        return f"a band that {'rises' if self.exponent > 0 else 'falls'} as f^{self.exponent:.2g} to {size}"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ColoredNoise:
     """Coloured part of a noise as a state-space model: independent processes of one or two states each.
@@ -109,22 +161,26 @@ class ColoredNoise:
         Its broad peaks.
     interval
         Time between samples [s].
+    shaped
+        What it has between edges, as one process; None for nothing.
     """
 
     corners: Array
     variances: Array
     humps: tuple[Hump, ...]
     interval: float
+    shaped: ShapedNoise | None = None
 
     @property
     def shapings(self) -> tuple[ShapingFilter, ...]:
-        """Shaping filters that make the processes out of white noise: relaxations first, then humps."""
+        """Shaping filters that make the processes out of white noise: relaxations, humps, what is between edges."""
         rates = 2 * np.pi * self.corners
         relaxations = (
             ShapingFilter(np.array([[-rate]]), np.array([np.sqrt(2 * rate * variance)]))
             for rate, variance in zip(rates, self.variances, strict=True)
         )
-        return (*relaxations, *(hump.shaping for hump in self.humps))
+        between = () if self.shaped is None else self.shaped.shapings
+        return (*relaxations, *(hump.shaping for hump in self.humps), *between)
 
     def density(self, frequency: Array, *, width: float = 0.0) -> Array:
         """Two-sided density of the samples at frequencies [Hz], of their shape [N^2/Hz].
@@ -147,7 +203,7 @@ class ColoredNoise:
             whole += (
                 hump.mean(frequency, width, self.interval) if width > 0 else hump.sampled(frequency, self.interval)
             )
-        return whole
+        return whole if self.shaped is None else whole + self.shaped.density(frequency)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -178,6 +234,7 @@ class ShapedNoise:
         interval: float,
         centre: float,
         tolerance: float,
+        goes_on: bool = True,
     ) -> ShapedNoise:
         """Approximate a density of samples by a process in continuous time.
 
@@ -189,12 +246,16 @@ class ShapedNoise:
             Time between samples [s].
         centre, tolerance
             As for `ShapingFilter.of_spectrum`.
+        goes_on
+            Whether it goes on beyond half the sampling rate, which is folded back; else it has ended below.
         """
         highest = 0.5 / interval
 
         def whole(f: Array) -> Array:
             ratio = f / highest
-            # the process goes on beyond half the sampling rate, and is folded back as much as it has fallen there
+            if not goes_on:
+                return np.asarray(density(np.minimum(f, highest)) * np.maximum(ratio, 1.0) ** -8)
+            # it is folded back as much as it has fallen there
             folded = 1 / (1 + ratio**8) + 1 / (1 + (2 - np.minimum(ratio, 2)) ** 8)
             known = density(np.where(f > highest, np.maximum(2 * highest - f, 0.0), f))
             return np.asarray(known / folded / (1 + ratio**8))
@@ -228,7 +289,7 @@ def _power_below(frequency: Array, corner: float, interval: float) -> Array:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseSpectrum:
-    """Two-sided power spectral density of the noise of a reading, R (1 + (f_c / f)^a) plus humps.
+    """Two-sided power spectral density of the noise of a reading, R (1 + (f_c / f)^a) plus humps and bands.
 
     Attributes
     ----------
@@ -250,6 +311,10 @@ class NoiseSpectrum:
         Frequencies of lines of the record that are no noise, and that the density leaves out [Hz].
     hum
         Lines of the mains, each a peak as narrow as a line that keeps its phase for some seconds.
+    bands
+        Parts between edges that are added, as filters of a converter leave them.
+    slow_end
+        Frequency from which on such a filter leaves nothing of the 1/f part [Hz].
     """
 
     white: float
@@ -261,6 +326,8 @@ class NoiseSpectrum:
     u_white: float = 0.0
     left_out: tuple[float, ...] = ()
     hum: tuple[Hump, ...] = ()
+    bands: tuple[Band, ...] = ()
+    slow_end: float = np.inf
 
     def __post_init__(self) -> None:
         if not (0 < self.white < np.inf and 0 < self.interval < np.inf):
@@ -275,27 +342,45 @@ class NoiseSpectrum:
 
     @property
     def colored(self) -> bool:
-        """Whether there is a 1/f part, a hump or hum."""
-        return bool(self.corner > 0 or self.humps or self.hum)
+        """Whether there is a 1/f part, a hump, a band or hum."""
+        return bool(self.corner > 0 or self.humps or self.hum or self.bands)
 
     def __str__(self) -> str:
         """The parts in words."""
         parts = ["white noise"]
         if self.corner:
-            parts.append(f"1/f^{self.exponent:.2g} below {self.corner:.3g} Hz")
+            parts.append(f"1/f^{self.exponent:.2g} below {self._crossing:.3g} Hz")
         parts += [f"a hump at {hump.frequency:.3g} Hz" for hump in self.humps]
+        parts += [band.told(self.white) for band in self.bands]
         parts += [f"hum at {line.frequency:.4g} Hz" for line in self.hum]
         return ", ".join(parts)
 
     def density(self, frequency: Array) -> Array:
         """Best estimate of the two-sided density at frequencies above 0 [Hz], of their shape [N^2/Hz]."""
         frequency = np.asarray(frequency, dtype=np.float64)
-        whole = np.full(frequency.shape, self.white)
-        if self.corner:
-            whole += self.white * (self.corner / frequency) ** self.exponent
+        return self.white + self._slow(frequency) + self._others(frequency)
+
+    def _slow(self, frequency: Array) -> Array:
+        """Density of the 1/f part at frequencies above 0 [Hz], of their shape [N^2/Hz]."""
+        if not self.corner:
+            return np.zeros(frequency.shape)
+        return np.where(frequency <= self.slow_end, self.white * (self.corner / frequency) ** self.exponent, 0.0)
+
+    def _others(self, frequency: Array) -> Array:
+        """Density of humps, hum and bands at frequencies above 0 [Hz], of their shape [N^2/Hz]."""
+        whole = self._between(frequency)
         for hump in (*self.humps, *self.hum):
             whole += hump.sampled(frequency, self.interval)
         return whole
+
+    @property
+    def _crossing(self) -> float:
+        """Frequency at which the 1/f part falls below the white part and the bands [Hz]: its corner without bands."""
+        if not self.bands:
+            return self.corner
+        frequency = np.geomspace(min(1e-6 / self.interval, self.corner), self.corner, CROSSING_AT)
+        level = self.white + self._between(frequency)
+        return float(frequency[np.argmax(self.white * (self.corner / frequency) ** self.exponent <= level)])
 
     def relative_uncertainty(self, frequency: Array) -> Array:
         """Relative standard uncertainty of the 1/f part at frequencies above 0 [Hz], of their shape [1]."""
@@ -315,17 +400,44 @@ class NoiseSpectrum:
         corners = variances = np.zeros(0)
         if self.corner:
             slowest = SLOWEST / duration
-            fastest = min(max(self.corner * NEGLIGIBLE ** (-1 / self.exponent), 4 * slowest), 0.5 / self.interval)
+            fastest = min(max(self._crossing * NEGLIGIBLE ** (-1 / self.exponent), 4 * slowest), 0.5 / self.interval)
             count = int(np.ceil(np.log(fastest / slowest) / np.log(CORNER_RATIO))) + 1
             corners = np.geomspace(slowest, fastest, count)
-            frequency = np.geomspace(slowest / 10, 0.5 / self.interval, 40 * count)
+            frequency = np.geomspace(slowest / 10, min(0.5 / self.interval, self.slow_end), 40 * count)
             flattened = np.sqrt(frequency**2 + slowest**2)
             target = self.white * (self.corner / flattened) ** self.exponent
             target *= np.exp(np.minimum(self.relative_uncertainty(flattened), 1.0) ** 2 / 2)
             densities = np.column_stack([_relaxation(frequency, corner, self.interval) for corner in corners])
-            weight = 1 / (target + self.white)  # an error matters relative to the whole density
+            weight = 1 / (target + self.white + self._between(frequency))  # an error matters relative to the whole
             scale = np.linalg.norm(densities * weight[:, None], axis=0)
             sizes, _ = nnls(densities * weight[:, None] / scale, target * weight)
             kept = sizes > 0
             corners, variances = corners[kept], (sizes / scale)[kept]
-        return ColoredNoise(corners, variances, (*self.humps, *self.hum), self.interval)
+        return ColoredNoise(corners, variances, (*self.humps, *self.hum), self.interval, self._shaped)
+
+    @property
+    def _shaped(self) -> ShapedNoise | None:
+        """What is between edges as one process; None for nothing."""
+        if not self.bands:
+            return None
+        highest = 0.5 / self.interval
+        edges = np.unique([edge for band in self.bands for edge in (band.first, band.last) if 0 < edge < highest])
+        if edges.size:
+            sides = np.log(self.white + self._between(edges * np.array([[1 - ASIDE], [1 + ASIDE]])))
+            centre = float(edges[np.argmax(np.abs(sides[1] - sides[0]))])
+        else:
+            centre = highest / 2
+        mean = self.white + sum(self._between(np.linspace(0, highest, MEAN_AT))) / MEAN_AT
+        tolerance = min(CLOSE * np.sqrt(mean), BESIDE * np.sqrt(self.white))
+
+        def density(f: Array) -> Array:
+            return self._between(f) + CLOSE**2 * self.white
+
+        goes_on = bool(self._between(np.array(highest)) > 0)
+        return ShapedNoise.of_density(
+            density, interval=self.interval, centre=centre, tolerance=float(tolerance), goes_on=goes_on
+        )
+
+    def _between(self, frequency: Array) -> Array:
+        """Density of the bands at frequencies [Hz], of their shape [N^2/Hz]."""
+        return np.asarray(sum((band.density(frequency) for band in self.bands), np.zeros(np.shape(frequency))))
