@@ -298,17 +298,29 @@ def band_of_noise(f: np.ndarray) -> np.ndarray:
     return WHITE * np.where((f >= 250) & (f <= 350), 51.0, 1.0)
 
 
+def cut_of_a_filter(f: np.ndarray) -> np.ndarray:
+    """Density of white noise that a digital filter cuts off at 0.95 of half the sampling rate."""
+    return WHITE * np.where(f > 760, 1e-3, 1.0)
+
+
+def noise_of_a_converter(f: np.ndarray) -> np.ndarray:
+    """Density of noise that rises as a power of frequency up to 0.98 of half the sampling rate."""
+    return WHITE * np.where(f < 784, 1 + 100 * (f / 784) ** 4, 0.01)
+
+
 def smooth_noise(f: np.ndarray) -> np.ndarray:
     """Density of noise with 1/f and a smooth hump."""
     return WHITE * (1 + 10 / f) + Hump(300.0, 0.4, 20 * WHITE).density(f)
 
 
-@pytest.mark.parametrize("density", [band_of_noise, smooth_noise])
-def test_force_beside_noise_with_edges(rng, density):
-    """With a record of noise alone nothing of it is taken for force."""
+@pytest.mark.parametrize("density", [band_of_noise, cut_of_a_filter, noise_of_a_converter, smooth_noise])
+@pytest.mark.parametrize("ratio", [1.0, 1.5, 0.6])
+@pytest.mark.filterwarnings("ignore:.*times the power that it has in the record of noise, all of it alike:UserWarning")
+def test_force_beside_noise_with_edges(rng, density, ratio):
+    """With a record of noise alone nothing of it is taken for force; another level is told and followed."""
     calm = record_of(noise_of(rng, density))
     felt, force = load_of_band(rng, 100, rms=300)
-    run = record_of(felt + noise_of(rng, density, n=N, longer=4))
+    run = record_of(felt + np.sqrt(ratio) * noise_of(rng, density, n=N, longer=4))
     found = estimate_force(run, T128, noise=calm)
     inner = slice(N // 20, -N // 20)
     error = (found.only.values - force)[inner]
@@ -317,8 +329,34 @@ def test_force_beside_noise_with_edges(rng, density):
     # in a few slow ones, below 10 Hz: three tenths
     assert np.std(error) == pytest.approx(u, rel=0.35 if density is smooth_noise else 0.12)
     # the bound with white noise alone is 0.52 N; and with 1/f 0.2 to 0.7 N more; as force the band would be 60 N
-    assert np.std(error) < 1.2
-    assert not found.doubts
+    assert np.std(error) < 1.2 * np.sqrt(ratio)
+    told = [doubt.text for doubt in found.doubts if doubt.kind == "noise level"]
+    assert len(told) == (ratio != 1)
+    for text in told:
+        assert "all of it alike" in text
+        # of thousands of ordinates the run's level is known to 2 %, that of the record to 1 %, and a shape to 5 %
+        assert float(text.split(" has ")[1].split(" times")[0]) == pytest.approx(ratio, rel=0.15)
+
+
+def test_white_part_that_is_another_is_told_beside_a_band(rng):
+    noise = noise_of_component(force_record(record_of(noise_of(rng, band_of_noise)), T128).component_record("AF"))
+    values = noise_of(rng, lambda f: band_of_noise(f) + 2 * WHITE, n=N, longer=4)
+    with pytest.warns(DataQualityWarning, match="the white noise of AF has 3"):
+        estimate_force(record_of(values), T128, noise={"AF": noise})
+
+
+def test_white_part_that_a_color_hides_does_not_matter(rng):
+    """A tenth of the noise at every frequency: a run without it departs by too little to be told."""
+    hidden = NoiseSpectrum(
+        WHITE / 10, 0.0, 1.0, (), 1 / RATE, np.zeros((2, 2)), bands=(Band(0.0, 800.0, 0.9 * WHITE),)
+    )
+    color = hidden.colored_part(5.0)
+    values = rng.normal(0, 2.0 * np.sqrt(0.9), N)
+    reading = Observation(values, 1 / RATE, T128, noise=hidden.deviation, color=color)
+    assert departure_of(reading) is None
+    # six times the white part is half as much again of the whole
+    louder = rng.normal(0, 2.0 * np.sqrt(1.5), N)
+    assert departure_of(replace(reading, values=louder)) == pytest.approx(6, rel=0.2)
 
 
 def test_bands_are_in_the_result():

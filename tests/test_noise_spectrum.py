@@ -333,6 +333,15 @@ def test_states_follow_bands(first, last, exponent, over):
     assert np.all(np.abs(np.log(found / truth))[inside & rising & ~near] < 0.05)
     assert np.all(np.abs(np.log(found / truth))[~inside & ~near] < 0.2)
     assert sum(shaping.order for shaping in color.shapings) <= 32
+    # all of it by one ratio
+    np.testing.assert_allclose(color.scaled(2.5).density(frequency), 2.5 * color.density(frequency), rtol=1e-9)
+
+
+def test_all_of_a_color_is_scaled():
+    hump = Hump(300.0, 0.4, 2 * WHITE)
+    noise = replace(known(10.0, humps=(hump,)), bands=(Band(500.0, 700.0, 5 * WHITE),))
+    color, frequency = noise.colored_part(5.0), np.array([0.5, 5.0, 300.0, 600.0])
+    np.testing.assert_allclose(color.scaled(0.4).density(frequency), 0.4 * color.density(frequency), rtol=1e-9)
 
 
 def test_what_is_no_record_of_noise_is_refused(monkeypatch, rng):

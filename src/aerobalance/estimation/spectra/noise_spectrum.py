@@ -15,7 +15,7 @@ References
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -182,6 +182,12 @@ class ColoredNoise:
         between = () if self.shaped is None else self.shaped.shapings
         return (*relaxations, *(hump.shaping for hump in self.humps), *between)
 
+    def scaled(self, ratio: float) -> ColoredNoise:
+        """The same with a ratio of the power."""
+        humps = tuple(replace(hump, level=ratio * hump.level) for hump in self.humps)
+        shaped = None if self.shaped is None else self.shaped.scaled(ratio)
+        return replace(self, variances=ratio * self.variances, humps=humps, shaped=shaped)
+
     def density(self, frequency: Array, *, width: float = 0.0) -> Array:
         """Two-sided density of the samples at frequencies [Hz], of their shape [N^2/Hz].
 
@@ -261,6 +267,10 @@ class ShapedNoise:
             return np.asarray(known / folded / (1 + ratio**8))
 
         return cls(ShapingFilter.of_spectrum(whole, centre=centre, tolerance=tolerance), interval)
+
+    def scaled(self, ratio: float) -> ShapedNoise:
+        """The same with a ratio of the power."""
+        return replace(self, shaping=replace(self.shaping, drive=np.sqrt(ratio) * self.shaping.drive))
 
     def density(self, frequency: Array, *, width: float = 0.0) -> Array:
         """Two-sided density of the samples at frequencies [Hz], with the aliases from either side [N^2/Hz].
