@@ -8,6 +8,7 @@ import pytest
 from aerobalance.app.commands.force import noise_result
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.checks.model_error import LEFT_OPEN
 from aerobalance.estimation.checks.noise_level import departure_of
 from aerobalance.estimation.component_force import noise_of_component
 from aerobalance.estimation.force import estimate_force, force_record
@@ -23,6 +24,7 @@ from aerobalance.recording.channel import Channel
 from aerobalance.recording.doubts import Verdict
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
+from aerobalance.uncertainty.budget import budget
 from helpers.cable_cut import T128
 from helpers.coloured_noise import RATE, WHITE, noise_of
 
@@ -327,7 +329,9 @@ def test_force_beside_noise_with_edges(rng, density, ratio):
     u = float(np.sqrt(np.mean(found.only.uncertainty[inner] ** 2)))
     # 0.9 * 5 s of a band of 100 Hz hold 900 independent errors, so their rms is known to 2.4 %; that of 1/f noise lies
     # in a few slow ones, below 10 Hz: three tenths
-    assert np.std(error) == pytest.approx(u, rel=0.35 if density is smooth_noise else 0.12)
+    # one record in fifty leaves other dynamics open, and then more is stated
+    if all(row.name != LEFT_OPEN for row in budget(found)["AF"]):
+        assert np.std(error) == pytest.approx(u, rel=0.35 if density is smooth_noise else 0.12)
     # the bound with white noise alone is 0.52 N; and with 1/f 0.2 to 0.7 N more; as force the band would be 60 N
     assert np.std(error) < 1.2 * np.sqrt(ratio)
     told = [doubt.text for doubt in found.doubts if doubt.kind == "noise level"]
@@ -341,7 +345,8 @@ def test_force_beside_noise_with_edges(rng, density, ratio):
 def test_white_part_that_is_another_is_told_beside_a_band(rng):
     noise = noise_of_component(force_record(record_of(noise_of(rng, band_of_noise)), T128).component_record("AF"))
     values = noise_of(rng, lambda f: band_of_noise(f) + 2 * WHITE, n=N, longer=4)
-    with pytest.warns(DataQualityWarning, match="the white noise of AF has 3"):
+    # of 3,000 ordinates beside the band it is known to 2 %, that of the record to 1 %
+    with pytest.warns(DataQualityWarning, match=r"the white noise of AF has (2.[89]|3|3.[12]) times"):
         estimate_force(record_of(values), T128, noise={"AF": noise})
 
 
