@@ -416,13 +416,34 @@ def _power(run: list[_Part], base: float, fine: Ordinates, slow: Array) -> tuple
     f, weight, density = (one[averages] for one in (fine.frequency, fine.weight, fine.density))
     known = fine.fixed[averages] + slow[averages] + base
     ratio = np.log(f / last)
-    shapes = np.stack([np.ones_like(ratio), ratio])
     top = max(part.level for part in run) - base
     ends = [max(part.level - base, LEAST_OF_A_RUN * top) for part in (run[0], run[-1])]
     numbers = np.array([np.log(ends[1]), np.log(ends[1] / ends[0]) / max(np.log(f[-1] / f[0]), 1e-3)])
     numbers[1] = np.clip(numbers[1], -STEEPEST, STEEPEST)
+    numbers = likeliest_power(numbers, np.ones_like(ratio), ratio, known=known, density=density, weight=weight)
+    piece = _Piece(first, last, base, float(np.exp(numbers[0])), float(numbers[1]))
+    return piece, _cost(piece, averages, fine, slow)
+
+
+def likeliest_power(start: Array, shown: Array, ratio: Array, *, known: Array, density: Array, weight: Array) -> Array:
+    """Return the logarithm of a level and the exponent of a power of frequency that is likeliest, by scoring, (2,).
+
+    Parameters
+    ----------
+    start
+        Both to begin with.
+    shown
+        Share of it that each average shows, shape (m,) [1].
+    ratio
+        Logarithm of the frequency over that of the level, shape (m,).
+    known
+        Density of what else there is, shape (m,) [N^2/Hz].
+    density, weight
+        Density of the reading, and independent ordinates, of each average, shape (m,).
+    """
+    numbers, shapes = start.copy(), np.stack([np.ones_like(ratio), ratio])
     for _ in range(STEPS):
-        rise = np.exp(numbers @ shapes)
+        rise = shown * np.exp(numbers @ shapes)
         model = rise + known
         slopes = shapes * (rise / model)
         information = (slopes * weight) @ slopes.T + TINY * np.eye(2)
@@ -431,8 +452,7 @@ def _power(run: list[_Part], base: float, fine: Ordinates, slow: Array) -> tuple
         numbers[0] += step[0]
         if np.max(np.abs(step)) < ENOUGH:
             break
-    piece = _Piece(first, last, base, float(np.exp(numbers[0])), float(numbers[1]))
-    return piece, _cost(piece, averages, fine, slow)
+    return numbers
 
 
 def _sharpened(pieces: list[_Piece], seen: Ordinates, fine: Ordinates, slow: Array, *, end: float) -> list[_Piece]:

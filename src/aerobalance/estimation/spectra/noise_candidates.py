@@ -14,6 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.estimation.spectra.noise_bands import likeliest_power
 from aerobalance.estimation.spectra.noise_ordinates import Ordinates
 from aerobalance.estimation.spectra.noise_record import likeliest_humps
 from aerobalance.estimation.spectra.parametric_psd import fit_roll_offs
@@ -55,15 +56,6 @@ SMOOTH: Final = 1.5
 
 EXPONENT: Final = 0.5
 """Numbers of an exponent over those of a change."""
-
-STEEPEST: Final = 12.0
-"""Largest exponent: converters of the fifth order shape the density of their noise as the tenth power of frequency."""
-
-STEPS: Final = 20
-"""Steps of scoring at most, by which level and exponent are found."""
-
-ENOUGH: Final = 1e-3
-"""Change of both in a step at which they end."""
 
 
 class NoiseCandidate(NamedTuple):
@@ -215,19 +207,14 @@ def _power_law(found: NoiseLevels, periodogram: Periodogram) -> Iterator[NoiseCa
     inside = found.seen & (shown > 0)
     if float(np.sum(periodogram.weight[inside])) < FEWEST_ORDINATES or np.ptp(ratio[inside]) == 0:
         return  # too few to tell a power from a level
-    shapes, weight = np.stack([np.ones_like(ratio), ratio])[:, inside], periodogram.weight[inside]
-    numbers = np.array([np.log(float(found.density[first]) - white), 0.0])
-    for _ in range(STEPS):
-        beyond = shown[inside] * np.exp(numbers @ shapes)
-        model = beyond + white + periodogram.background(0.0)[inside]
-        slopes = shapes * (beyond / model)
-        information = (slopes * weight) @ slopes.T
-        step = np.linalg.solve(information, (slopes * weight) @ (periodogram.density[inside] / model - 1))
-        step = np.clip(step, -1.0, 1.0)
-        numbers[1] = np.clip(numbers[1] + step[1], -STEEPEST, STEEPEST)
-        numbers[0] += step[0]
-        if np.max(np.abs(step)) < ENOUGH:
-            break
+    numbers = likeliest_power(
+        np.array([np.log(float(found.density[first]) - white), 0.0]),
+        shown[inside],
+        ratio[inside],
+        known=white + periodogram.background(0.0)[inside],
+        density=periodogram.density[inside],
+        weight=periodogram.weight[inside],
+    )
     density = white + shown * np.exp(numbers[0] + numbers[1] * ratio)
     changes = 1 if last == found.density.size - 1 else 2
     yield NoiseCandidate(NoiseLevels(density, found.seen), density, CHANGE_EVIDENCE * (changes + EXPONENT))
