@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import multivariate_normal
 
-from aerobalance.estimation.spectra import noise_bands, noise_ordinates, noise_record
+from aerobalance.estimation.spectra import banded_noise, noise_ordinates, noise_record
 from aerobalance.estimation.spectra.noise_record import noise_spectrum_of
 from aerobalance.estimation.spectra.noise_spectrum import EXPONENTS, Band, ColoredNoise, Hump, NoiseSpectrum
 from aerobalance.estimation.statespace.kalman import KalmanFilter, StateSpace
@@ -299,7 +299,7 @@ def test_slopes_of_bands_are_differences(rng):
     seen = noise_ordinates.Ordinates.of(rng.normal(0, 2, 4000), T128, interval=1 / RATE)
     numbers = np.concatenate([np.log([WHITE, 10 * WHITE]), [1.3, np.log(3 * WHITE), 0.0, np.log(20 * WHITE), 3.0]])
     edges = np.array([[0.0, 500.0], [300.0, 700.0]])
-    noise = noise_bands.BandedNoise(numbers, edges, np.array([False, True]), 600.0)
+    noise = banded_noise.BandedNoise(numbers, edges, np.array([False, True]), 600.0)
     slopes, small = noise.slopes(seen, noise.parts(seen)), 1e-5
     for place in np.flatnonzero(noise.free):
         late, early = (

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.estimation.spectra.noise_bands import likeliest_power
+from aerobalance.estimation.spectra.banded_noise import likeliest_power
 from aerobalance.estimation.spectra.noise_ordinates import Ordinates
 from aerobalance.estimation.spectra.noise_record import likeliest_humps
 from aerobalance.estimation.spectra.parametric_psd import fit_roll_offs

@@ -20,7 +20,8 @@ from scipy.optimize import minimize
 from scipy.special import gammainc, gammaincc
 
 from aerobalance.dynamics.modal import ModalModel
-from aerobalance.estimation.spectra.noise_bands import FINE, NUMBER_EVIDENCE, BandedNoise, banded, cost_of, departs
+from aerobalance.estimation.spectra.banded_noise import NUMBER_EVIDENCE, BandedNoise, cost_of
+from aerobalance.estimation.spectra.noise_bands import FINE, banded, departs
 from aerobalance.estimation.spectra.noise_ordinates import FEWEST_SAMPLES, Ordinates
 from aerobalance.estimation.spectra.noise_spectrum import EXPONENTS, Hump, NoiseSpectrum
 from aerobalance.recording.channel import Array
