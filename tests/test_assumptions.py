@@ -19,7 +19,7 @@ from aerobalance.io import write_recording
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.analog_filter import AntiAlias
 from aerobalance.recording.channel import Channel
-from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
+from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, si_unit
 from aerobalance.recording.doubts import Assumption
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
@@ -183,6 +183,40 @@ def test_gain_and_mass_of_coupled_components_change_the_forces_by_as_much(rng):
     covariance[0, 0] = (0.01 * mass.mass) ** 2
     stated = force(outputs, replace(own, mass=replace(mass, covariance=covariance)), gain=0.01)
     assert not {"gain", "mass"} & {one.kind for one in stated.assumed}
+
+
+def test_bridges_that_are_read_one_after_the_other_change_the_forces_by_as_much(rng):
+    """Six components in a steady state of many sines, each read 10 us after the one before: the readings are exact."""
+    balance = random_balance(rng)
+    own, half_range = balance.dynamics, balance.half_range
+    rate, count = 5000.0, 10_000
+    time = np.arange(count) / rate
+    lines = np.arange(20.0, 300.0, 1.0)
+    size = 0.02 * half_range * np.exp(2j * np.pi * rng.random((lines.size, 6)))
+    loads = np.einsum("mij,mj->mi", own.response(lines), size)
+    noise = 1e-5 * half_range * rng.normal(size=(count, 6))
+
+    def force(late: np.ndarray, *, delay: float = 0.0) -> Force:
+        phase = np.exp(2j * np.pi * np.multiply.outer(time, lines))
+        moved = loads * np.exp(-2j * np.pi * lines[:, None] * late)
+        readings = (phase @ moved).real + noise
+        channels = {
+            name: Channel(name, one, si_unit(name), delay=delay)
+            for name, one in zip(COMPONENTS, readings.T, strict=True)
+        }
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DataQualityWarning)  # the late ones are doubted now and then
+            return ab.estimate_force(ab.Recording.from_columns(time, channels, name="run"), own)
+
+    found, late = force(np.zeros(6)), force(1e-5 * np.arange(6))
+    told = {one.component: one.effect for one in found.assumed if one.kind == "time of reading"}
+    assert told
+    for name, effect in told.items():
+        error = np.sqrt(np.mean((late[name].values - found[name].values) ** 2))
+        # to first order in the delay; and the late readings have a spectrum and steps of their own
+        assert effect == pytest.approx(error, rel=0.1), name
+    # nothing is assumed where it is stated
+    assert "time of reading" not in {one.kind for one in force(np.zeros(6), delay=1e-6).assumed}
 
 
 def record_of(time: np.ndarray, columns: dict[str, tuple[np.ndarray, str]]) -> ab.Recording:

@@ -3,7 +3,7 @@
 An analog filter before the load channel looks like another force. A gain that is wrong is wrong in everything. An
 accelerometer that looks a degree aside reads a motion that nothing else shows. A natural frequency that is half a
 percent off is seen where something rings, and not under a broad load in a short record; nor is the damping, to which
-the flow adds its own.
+the flow adds its own. A converter that takes six bridges one after the other looks like other couplings.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import STANDARD_GRAVITY, si_unit
 from aerobalance.recording.doubts import Assumption
 from aerobalance.recording.errors import FitError, argument
+from aerobalance.recording.fourier import hann
 from aerobalance.recording.gravity import Gravity
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import Transfer, filtered
@@ -54,10 +55,14 @@ class AssumptionSettings:
         Error of the zero of an angle of the balance [rad].
     mass
         Relative error of a mass [1].
+    apart
+        Time between the readings of two bridges [s]: what converters that take one after the other wait to settle.
+    stretches, stretch
+        Stretches of the record, spread evenly, of which the effect of that is told, and samples of each.
     drift
         Change of the zero of a load from the beginning of a record to its end, over the largest load [1].
     matters
-        Effect of an angle's zero, a drift, a natural frequency or damping ratio, or gain and mass of coupled
+        Effect of an angle's zero, a drift, a natural frequency or damping ratio, or of gain, mass and time of coupled
         components, over the scatter of the force, from which it is told.
     told
         Its standard uncertainty by the record, over that, up to which the record tells it.
@@ -76,6 +81,9 @@ class AssumptionSettings:
     damping: float = 0.2
     angle: float = float(np.radians(0.1))
     mass: float = 0.01
+    apart: float = 1e-5
+    stretches: int = 16
+    stretch: int = 4096
     drift: float = 0.001
     matters: float = 0.1
     told: float = 0.5
@@ -139,6 +147,7 @@ def assumptions_of(
         yield from _of_single(record, fit, unit)
     elif isinstance(record, DecoupledRecord):
         yield from _of_decoupled(record, fit.force, least=least)
+        yield from _of_time(record, fit, least=least)
     across = record.motion_across
     if across is not None:
         slope, channel = across
@@ -256,6 +265,38 @@ def _of_decoupled(record: DecoupledRecord, force: Array, *, least: float) -> Ite
     yield from _of_gain(record.recording, record.channels[record.decoupled.place], force - acting, least=least)
     if mass is not None and mass.covariance[0, 0] == 0:
         yield from _of_mass(mass.mass, acting, name, least=least)
+
+
+def _of_time(record: DecoupledRecord, fit: SmootherResult, *, least: float) -> Iterator[Assumption]:
+    """What is assumed of when the bridges are read; effects up to `least` are not told.
+
+    Readings that are late by d lack d times the slope of a load, which the inverse of the coupled balance takes for
+    force. The smoother lets W = S G^2 / (S G^2 + N) of it through; a step shows in full, for as long as it is late.
+    """
+    if any(channel.delay for channel in record.channels):
+        return
+    count, interval, place = fit.force.size, record.interval, record.decoupled.place
+    size = min(SETTINGS.stretch, count)
+    late = SETTINGS.apart * np.arange(len(record.channels))
+    first = np.unique(np.linspace(0, count - size, SETTINGS.stretches).astype(int))
+    taper = hann(size)
+    stretches = record.loads[first[:, None] + np.arange(size)]
+    lines = np.fft.rfft((stretches - stretches.mean(axis=1, keepdims=True)) * taper[:, None], axis=1)
+    frequency = np.asarray(np.fft.rfftfreq(size, interval), dtype=np.float64)
+    slopes = lines * (2j * np.pi * frequency[:, None] * late)
+    felt = np.einsum("kmj,mj->km", slopes, record.coupled.inverse_response(frequency)[:, place])
+    shown = fit.learned.spectrum.density(frequency) * np.abs(fit.reading.dynamics.response(frequency)) ** 2
+    passed = shown / (shown + fit.learned.noise_density(frequency, interval=interval))
+    power = 2 * float(np.sum(np.abs(passed * felt) ** 2)) / (first.size * size * float(np.sum(taper**2)))
+    at_steps = np.sum([step.height**2 for step in fit.steps]) * float(late[place]) / (count * interval)
+    effect = float(np.sqrt(power + at_steps))
+    if effect > least:
+        name = record.dynamics.component
+        text = (
+            f"all bridges are read at the same instants: read one after the other, {1e6 * SETTINGS.apart:g} us apart, "
+            f"they would change {name} by {{}}; a delay of each channel says when"
+        )
+        yield _told("time of reading", name, text, effect, si_unit(name))
 
 
 def _of_single(record: SingleRecord, fit: SmootherResult, unit: str) -> Iterator[Assumption]:

@@ -35,7 +35,7 @@ MOST_STEPS: Final = 60
 """Steps of scoring at most, by which all numbers of a noise are found."""
 
 FIRST_DAMPING: Final = 1e-3
-"""Damping of the first of the latter, over the information; a tenth of it after a step that gains, else ten times it."""
+"""Damping of the first of the latter, over the information: a tenth after a step that gains, else ten times it."""
 
 MOST_DAMPING: Final = 1e6
 """Damping from which on no step gains anything."""
