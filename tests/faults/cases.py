@@ -233,6 +233,10 @@ SIXES: dict[str, SixScene] = {
     "narrow at 165 Hz": SixScene([together(band(0.02, 160, 172), band(0.05, 0, 60))] * 6),
     "sine 173 Hz": SixScene([together(shaped(lambda t: 0.05 * np.sin(2 * np.pi * 173.3 * t)), band(0.05, 0, 60))] * 6),
     "AF alone": SixScene([*[band(1e-9, 0, 100)] * 5, band(0.1, 0, HIGHEST)]),
+    "a release": SixScene([band(1e-9, 0, 100)] * 6, common=step(0.5)),
+    "a release in turbulence": SixScene([soft(0.01, 30.0)] * 6, common=step(0.5)),
+    "one gust, soft 30 Hz": SixScene([band(1e-9, 0, 100)] * 6, common=soft(0.1, 30.0, 2.0)),
+    "one gust, 0-200 Hz": SixScene([band(1e-9, 0, 100)] * 6, common=band(0.03, 0, 200)),
 }
 """Loads of six components, over half range."""
 

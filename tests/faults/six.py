@@ -97,17 +97,22 @@ class SixScene:
     ----------
     forces
         The force of each component over its half range.
+    common
+        One load that acts in all components, as a gust or a release, in proportions of half range that are drawn.
     clock
         When it is read.
     """
 
     forces: Sequence[Maker] = field(default_factory=lambda: [band(0.1, 0, HIGHEST)] * 6)
+    common: Maker | None = None
     clock: Clock = SIX
 
     def record(self, rng: np.random.Generator) -> Record:
         """Return the record and its truth, (samples, 6)."""
         clock = self.clock
         force = np.column_stack([maker(clock, rng) for maker in self.forces]) * HALF_RANGE
+        if self.common is not None:
+            force += np.multiply.outer(self.common(clock, rng), rng.uniform(-1, 1, 6) * HALF_RANGE)
         load = felt(balance(), force, clock)
         values = np.column_stack([clock.sampled(column) for column in load.T])
         values = values + rng.normal(size=values.shape) * NOISE * HALF_RANGE

@@ -6,7 +6,7 @@ load excites one alone, the reading of one component is asked as that of a singl
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from itertools import product
@@ -194,6 +194,10 @@ def _oscillations(dynamics: CoupledDynamics) -> tuple[NDArray[np.complex128], ND
     return poles[up], shapes[:, up]
 
 
+Evidence = Callable[[Moved], Array]
+"""Evidence of moved modes in every band."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class OtherShapes:
     """What the ringing of coupled components speaks for.
@@ -264,7 +268,7 @@ def moved_together(
     gains = [gain_of(one, known) for one in evidence]
     if max(gains) < 0.5 * least and max(gain_apart(one, known) for one in evidence) < 0.5 * SETTINGS.open_from:
         return None
-    found = _closer(ringing, own, everything, tried[int(np.argmax(gains))])
+    found = _closer(partial(_evidence, ringing), own, everything, tried[int(np.argmax(gains))])
     seen = _evidence(ringing, found)
     gain, apart = gain_of(seen, known), gain_apart(seen, known)
     narrow = gain < least or (apart < SETTINGS.open_from and gain < 2 * least)
@@ -274,35 +278,28 @@ def moved_together(
         probability = float(expit(SETTINGS.open_steepness * (apart - SETTINGS.open_half)))
         return OtherShapes("natural frequency", (), found.rows, gain, found, probability)
     for place in range(len(found.changes)):
-        closer = _closer(ringing, found, place, found)
+        closer = _closer(partial(_evidence, ringing), found, place, found)
         found = closer if closer.ringing[place] else found
     frequency, damping = np.max(np.abs(found.changes), axis=0)
     kind = "natural frequency" if frequency > SETTINGS.told or damping < SETTINGS.told_damping else "damping ratio"
     return OtherShapes(kind, (), found.rows, gain, found)
 
 
-def _evidence(ringing: RingingSpectra, moved: Moved) -> Array:
+def _evidence(ringing: RingingSpectra, moved: Moved, *, together: bool = False) -> Array:
     """Evidence of moved modes; none where a balance with them cannot be."""
     try:
-        return ringing.evidence(moved.rows)
+        return ringing.evidence_together(moved.rows) if together else ringing.evidence(moved.rows)
     except (ValueError, np.linalg.LinAlgError):
         return np.full(ringing.bands.size, -np.inf)
 
 
-def _closer(
-    ringing: RingingSpectra,
-    before: Moved,
-    place: int | slice,
-    first: Moved,
-    *,
-    bands: slice | NDArray[np.bool_] = slice(None),
-) -> Moved:
-    """The likeliest change of modes near a first guess, by some bands."""
+def _closer(evidence: Evidence, before: Moved, place: int | slice, first: Moved) -> Moved:
+    """The likeliest change of modes near a first guess."""
     start = first.changes[place].reshape(-1, 2)[0] - before.changes[place].reshape(-1, 2)[0]
     size = np.array([max(0.3 * abs(float(start[0])), 0.003), 0.3])
 
     def lost(change: Array) -> float:
-        return -float(np.sum(_evidence(ringing, before.by(place, start + change * size))[bands]))
+        return -float(np.sum(evidence(before.by(place, start + change * size))))
 
     simplex = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     # where nothing rings it would go on for ever
@@ -323,7 +320,7 @@ def moved_alone(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherShap
 
     Rows that take out a ringing that is not there take as much of the force, and what rings elsewhere swings in all
     forces in the proportions of the mode. A narrow band of the load makes one force swing as much as a mode elsewhere
-    does, and leaves no hole.
+    does, and leaves no hole. Where one load acts in all, as a gust or a release, a mode elsewhere adds a second one.
     """
     if dynamics.internal or len(dynamics.modes) != len(dynamics.components):
         return None
@@ -333,39 +330,44 @@ def moved_alone(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherShap
         about = ringing.near(mode.natural_frequency, within=SETTINGS.alone_about)
         if about is None:
             continue
-        known = float(np.sum(_evidence(about, own)))
+        together = about.together
+        evidence = partial(_evidence, about, together=together)
+        known = evidence(own)
 
-        def gain_of_one(moved: Moved, about: RingingSpectra = about, known: float = known) -> float:
-            return float(np.sum(_evidence(about, moved))) - known
+        def gain_of_one(moved: Moved, evidence: Evidence = evidence, known: Array = known) -> float:
+            return float(np.sum(evidence(moved) - known))
 
         shifts = [sign * size for size in SETTINGS.alone_shifts for sign in (-1, 1)]
         tried = [own.by(place, np.array([shift, 0.0])) for shift in shifts]
         gains = [gain_of_one(one) for one in tried]
         if max(gains) < 0.5 * SETTINGS.alone_least:
             continue
-        moved = _closer(about, own, place, tried[int(np.argmax(gains))])
+        moved = _closer(evidence, own, place, tried[int(np.argmax(gains))])
         shift, damping = moved.changes[place]
         between = np.abs(np.log(about.frequency / mode.natural_frequency)) < 2 * abs(shift)
         resolved = np.count_nonzero(between) >= SETTINGS.alone_fewest
         clear = resolved and float(np.mean((about.shown & about.clear)[between])) >= SETTINGS.alone_clear
         if not clear or abs(damping) >= SETTINGS.as_damped or gain_of_one(moved) < SETTINGS.alone_least:
             continue
-        gain = _gain_over_a_narrow_load(about, moved, mode.natural_frequency)
+        gain = gain_of_one(moved) if together else _gain_over_loads(about, moved, mode.natural_frequency)
         if gain >= SETTINGS.alone_open_from:
             likely = 1.0 if gain >= SETTINGS.alone_decisive else float(expit(gain))
             found.append(OtherShapes("natural frequency", (), moved.rows, gain, moved, likely))
     return max(found, key=lambda one: one.gain, default=None)
 
 
-def _gain_over_a_narrow_load(about: RingingSpectra, moved: Moved, frequency: float) -> float:
-    """Gain in log-likelihood of a mode that has moved, over a narrow band of one load near a frequency [Hz]."""
+def _gain_over_loads(about: RingingSpectra, moved: Moved, frequency: float) -> float:
+    """Gain in log-likelihood of a mode that has moved, over loads that look like one near a frequency [Hz].
+
+    That are a narrow band of one load, noise with a color, and one load in several forces, as a gust or a release.
+    """
     loaded = _with_a_narrow_load(about, frequency)
     gain = float(np.sum(about.evidence(moved.rows) - loaded.evidence(about.own)))
     if gain < SETTINGS.alone_open_from:
         return gain
-    # or what it explains is noise that is not white
     colored = about.evidence_with_color(moved.rows) - loaded.evidence_with_color(about.own)
-    return min(gain, float(np.sum(colored)))
+    together = about.evidence_together(moved.rows) - about.evidence_together(about.own)
+    return min(gain, float(np.sum(colored)), float(np.sum(together)))
 
 
 def _with_a_narrow_load(about: RingingSpectra, frequency: float) -> RingingSpectra:
@@ -451,13 +453,13 @@ def one_moved(
         return None
     gain, place, change = max(found, key=lambda one: one[0])
     own = Moved.none(dynamics)
-    moved = _closer(ringing, own, place, own.by(place, change))
+    moved = _closer(partial(_evidence, ringing), own, place, own.by(place, change))
     gains = _evidence(ringing, moved) - _evidence(ringing, own)
     if abs(moved.changes[place, 1]) > SETTINGS.as_damped or float(np.sum(gains)) < RESONANCE.open_from:
         return None
     frequency = dynamics.modes[place].natural_frequency
     about = ringing.near(frequency, within=SETTINGS.alone_about)
-    if about is None or _gain_over_a_narrow_load(about, moved, frequency) < SETTINGS.alone_open_from:
+    if about is None or _gain_over_loads(about, moved, frequency) < SETTINGS.alone_open_from:
         return None
     likely = float(expit(RESONANCE.open_steepness * (gain - RESONANCE.open_half)))
     return OtherShapes(
