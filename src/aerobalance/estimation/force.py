@@ -273,6 +273,7 @@ def _undivided(
             "not in the uncertainty: give the loads as reduce_outputs returns them, not their recording alone"
         )
     seen = impossible_channels(given, model)
+    dead = {doubt.component for doubt in seen if doubt.kind == "stuck channel"}
     told = given.doubts if isinstance(given, Loads) else ()
     if not settings.keep_outliers:
         given, wild = without_wild_samples(given, model.components)
@@ -290,7 +291,9 @@ def _undivided(
     if isinstance(given, Loads):
         parts = with_matrix(parts, given, model)
     known = partial(_known, record, given if isinstance(given, Loads) else None)
-    parts = {name: replace(part, doubts=(*_of(name, told + seen), *part.doubts)) for name, part in parts.items()}
+    # what rounding leaves of a dead channel is no noise
+    own = {name: () if name in dead else part.doubts for name, part in parts.items()}
+    parts = {name: replace(part, doubts=(*_of(name, told + seen), *own[name])) for name, part in parts.items()}
     force = checked(Force(parts, known, settings, noises))
     for doubt in force.doubts:
         if doubt not in told:
