@@ -186,6 +186,23 @@ def test_modes_of_another_balance_are_named_and_counted(factor: float, rng) -> N
     assert float(np.mean(np.abs(z) < 1.96)) > 0.85
 
 
+@pytest.mark.parametrize(("factor", "common"), [(0.4, False), (2.5, False), (0.6, True), (2.0, True)])
+@pytest.mark.soak(first=2)
+def test_modes_far_from_those_of_the_balance_are_not_usable(factor: float, common: bool, rng) -> None:
+    """Of half the frequency and less noise of a color left no force, of others signs were wrong: errors of 7 to 130 u.
+
+    Or in a release, one load in all components, channels exchanged: errors of up to 460 u.
+    """
+    scene = SixScene([band(1e-9, 0, 100)] * 6, common=step(0.5)) if common else SixScene()
+    values, truth = _record(scene, rng)
+    force = _force(values, moved(drawn(rng), factor=factor))
+    assert force.verdict == Verdict.NOT_USABLE
+    assert {doubt.kind for doubt in force.doubts} == {"natural frequency"}
+    z, _ = _scores(force, truth)
+    # what is counted is as large as the error of a sine of its local size, or as what was read
+    assert float(np.sqrt(np.mean(z**2))) < 2
+
+
 @pytest.mark.parametrize("maker", [band(0.1, 0, 347), soft(0.1, 30.0)], ids=["broad", "soft"])
 def test_modes_that_have_moved_a_little_are_counted_at_least(maker, rng) -> None:
     """By 3 % the error is 400 times the uncertainty of a sound record, and half a second hardly tells it.

@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.dynamics.coupled import CoupledDynamics
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.assumptions import SETTINGS as ASSUMED
 from aerobalance.estimation.checks.model_error import LEFT_OPEN, as_noise
 from aerobalance.estimation.checks.moved_modes import SETTINGS as MOVED
@@ -28,6 +29,7 @@ from aerobalance.estimation.checks.moved_modes import (
     moved_together,
     one_moved,
 )
+from aerobalance.estimation.checks.resonance import gain_in_white_noise
 from aerobalance.estimation.checks.ringing import RingingSpectra, Rows, most_samples, powers_of
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.prior import Observation
@@ -37,6 +39,9 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import DOUBTED, Assumption, Doubt
 from aerobalance.recording.side_by_side import both
+
+ADVICE: Final = "identify the dynamics again"
+"""What to do where the modes are others."""
 
 AT_ONCE: Final = 1 << 12
 """Frequencies whose matrices are in memory at once."""
@@ -75,7 +80,7 @@ SETTINGS: Final = ModeShapeSettings()
 """Settings that are used."""
 
 
-def other_shapes(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherShapes | None:
+def other_shapes(ringing: RingingSpectra, dynamics: CoupledDynamics, *, far: bool = False) -> OtherShapes | None:
     """Return the signs, the order or the modes that a record speaks for; None where it does not speak against its own.
 
     Parameters
@@ -84,6 +89,8 @@ def other_shapes(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherSha
         The spectra of the record.
     dynamics
         The dynamics that it was read with.
+    far
+        Whether modes are looked for far from those of the dynamics.
     """
     own, count = ringing.own, len(dynamics.components)
     volume = ringing.determinant(own)
@@ -118,7 +125,12 @@ def other_shapes(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherSha
     gains = list(np.subtract(gains, price))
     best = int(np.argmax(gains))
     gain, (kind, places, rows) = gains[best], exchanged[best]
-    moved = moved_together(ringing, dynamics, known, least=max(gain, MOVED.moved))
+    moved = moved_together(ringing, dynamics, known, least=max(gain, MOVED.moved), far=far)
+    if (gain > SETTINGS.decisive or moved is not None) and ringing.together:
+        # what is likelier for forces that have nothing to do with each other may not be so for those of one load
+        known = ringing.evidence_together(own, determinant=volume)
+        gain = gain_of(ringing.evidence_together(rows), known) - price[best]
+        moved = moved_together(ringing, dynamics, known, least=max(gain, MOVED.moved), far=far, together=True)
     if gain > SETTINGS.decisive and (moved is None or moved.gain < gain):
         return OtherShapes(kind, places, rows, gain)
     return moved
@@ -170,11 +182,74 @@ def shape_doubts(
     """
     if not record.is_coupled:
         return {}
+    readings = {name: one.reading() for name, one in record.component_records(filled).items()}
+    found = _by_shapes(record, filled, parts, readings)
+    gains = _in_white_noise(readings, parts)
+    return _of_another_balance(record, filled, {**parts, **found}, gains) if gains else found
+
+
+def _of_another_balance(
+    record: CoupledRecord, filled: Array, parts: Mapping[str, ComponentForce], gains: Mapping[str, float]
+) -> dict[str, ComponentForce]:
+    """Forces of a record that rings in other modes, by what these gain in components: as far off as they are from it.
+
+    What the forces are with the dynamics of the balance nobody knows; that they are not what is read is as likely.
+    """
+    loads = record.without_ground(filled, on_clock_of=0)
+    names, found = record.dynamics.components, {}
+    errors = loads - np.column_stack([parts[name].values for name in names])
+    errors -= errors.mean(axis=0)
+    size = np.sqrt(np.mean(errors**2, axis=0))
+    over = {
+        name: one / float(np.sqrt(np.mean(parts[name].uncertainty ** 2)))
+        for name, one in zip(names, size, strict=True)
+    }
+    told = max(gains, key=lambda name: over[name])
+    for place, (name, one) in enumerate(zip(names, record.decoupled, strict=True)):
+        part, error = parts[name], errors[:, place]
+        period = 1 / one.dynamics.natural_frequency
+        noise = as_noise(error, name=f"{DOUBTED}natural frequency", period=period, interval=record.interval)
+        doubts = tuple(doubt for doubt in part.doubts if name not in gains or doubt.kind != "colored noise")
+        if name == told:
+            text = (
+                f"{' and '.join(gains)} read{'s' if len(gains) == 1 else ''} what with these dynamics would be noise "
+                "of a color, and is what other modes make of a force: the dynamics are those of another balance, or "
+                "its channels are in another order"
+            )
+            doubts += (Doubt("natural frequency", name, text, ADVICE, float(size[place]), si_unit(name)),)
+        found[name] = replace(with_errors(part, noise), doubts=doubts)
+    return found
+
+
+def _in_white_noise(readings: Mapping[str, Observation], parts: Mapping[str, ComponentForce]) -> dict[str, float]:
+    """Gains of other modes in white noise over a component's own, where these leave noise of a color.
+
+    A reading of one mode alone is asked as that of a single component is; its mass does not matter.
+    """
+    gains = {}
+    for name, reading in readings.items():
+        learned, (mode, *further) = parts[name].learned, reading.dynamics.modes
+        if further or learned is None or learned.color is None or not reading.present.all():
+            continue
+        w = mode.angular_frequency
+        alone = Dynamics(name, 1.0, w**2, 2 * mode.damping_ratio * w)
+        gain = gain_in_white_noise(reading.values, alone, interval=reading.interval, least_noise=reading.least_noise)
+        if gain > 0:
+            gains[name] = gain
+    return gains
+
+
+def _by_shapes(
+    record: CoupledRecord,
+    filled: Array,
+    parts: Mapping[str, ComponentForce],
+    readings: Mapping[str, Observation],
+) -> dict[str, ComponentForce]:
+    """Those that the modes of the record speak against, or that hang on what these do not tell."""
     dynamics, interval = record.dynamics, record.interval
     loads = record.without_ground(filled, on_clock_of=0)
     names = dynamics.components
     within, most = _between_gaps(record), most_samples(record)
-    readings = {name: one.reading() for name, one in record.component_records(filled).items()}
     ringing = RingingSpectra.of(record, loads[within], parts)
     other, first = _spoken(ringing, record, loads, parts, readings, within=within), 0
     # the balance may have changed on the way; of a part before others the next one's beginning tells
@@ -313,13 +388,14 @@ def _spoken(
         return moved_alone(seen, record.dynamics) or one_moved(seen, record, parts, readings, first=first)
 
     # of most records nothing is found, and both are asked
-    other, one = both(lambda: other_shapes(seen, record.dynamics), moved)
+    far = any(part.learned is not None and part.learned.color is not None for part in parts.values())
+    other, one = both(lambda: other_shapes(seen, record.dynamics, far=far), moved)
     if other is None:
         return one
     # a tone is narrower than any resonance, and looks like one that is elsewhere
     above = SETTINGS.tones_above * record.dynamics.modes[0].natural_frequency * record.interval
     ringing = RingingSpectra.of(record, without_tones(loads[within], above=above), parts)
-    return None if ringing is None else other_shapes(ringing, record.dynamics)
+    return None if ringing is None else other_shapes(ringing, record.dynamics, far=far)
 
 
 def _words(other: OtherShapes, dynamics: CoupledDynamics) -> tuple[str, str]:
@@ -352,4 +428,4 @@ def _words(other: OtherShapes, dynamics: CoupledDynamics) -> tuple[str, str]:
         f"the components ring together {', '.join(changed)}: stiffness, mass or damping have changed since they were "
         "identified, or the dynamics are those of another balance; forces near these frequencies are wrong"
     )
-    return text, "identify the dynamics again"
+    return text, ADVICE

@@ -48,9 +48,9 @@ class MovedModeSettings:
     open_from, open_half, open_steepness
         The same gain from which on the record leaves it open whether modes have moved, at which it is as likely as
         not, and how fast that grows.
-    shifts, dampings
-        Changes of the logarithm of all natural frequencies that are tried, up and down, and factors of all damping
-        ratios.
+    shifts, far_shifts, dampings
+        Changes of the logarithm of all natural frequencies that are tried, up and down, those beyond where the noise
+        has a color, which a force elsewhere may be taken for, and factors of all damping ratios.
     tries
         Dynamics that are tried at most to come closer to the best.
     farthest
@@ -103,6 +103,7 @@ class MovedModeSettings:
     open_half: float = 5.5
     open_steepness: float = 0.8
     shifts: tuple[float, ...] = (0.01, 0.02, 0.04, 0.08, 0.16, 0.25, 0.35, 0.5)
+    far_shifts: tuple[float, ...] = tuple(0.55 + 0.05 * place for place in range(18))
     dampings: tuple[float, ...] = (0.4, 2.5)
     tries: int = 40
     farthest: tuple[float, float] = (2.0, 12.0)
@@ -254,24 +255,47 @@ def contradicted(evidence: Array, known: Array) -> bool:
 
 
 def moved_together(
-    ringing: RingingSpectra, dynamics: CoupledDynamics, known: Array, *, least: float
+    ringing: RingingSpectra,
+    dynamics: CoupledDynamics,
+    known: Array,
+    *,
+    least: float,
+    far: bool = False,
+    together: bool = False,
 ) -> OtherShapes | None:
     """Return the moved modes that a record speaks for, where that brings more than other explanations.
 
     All are moved together first: a single one that seems to have moved may be a narrow band of the load.
+
+    Parameters
+    ----------
+    ringing
+        The spectra of the record.
+    dynamics
+        The dynamics that it was read with.
+    known
+        Evidence of these in every band, shape (bands,).
+    least
+        Gain that they must bring.
+    far
+        Whether they are looked for far from those of the dynamics.
+    together
+        Whether the forces are taken for ones that a load acts in together.
     """
     if dynamics.internal or len(dynamics.modes) != len(dynamics.components):
         return None
     own, everything = Moved.none(dynamics), slice(None)
-    together = [(sign * size, 0.0) for size in SETTINGS.shifts for sign in (-1, 1)]
-    together += [(0.0, float(np.log(factor))) for factor in SETTINGS.dampings]
-    tried = [own.by(everything, np.array(step)) for step in together]
-    evidence = [_evidence(ringing, one) for one in tried]
+    evidence_of = partial(_evidence, ringing, together=together)
+    sizes = (*SETTINGS.shifts, *(SETTINGS.far_shifts if far else ()))
+    shifts = [(sign * size, 0.0) for size in sizes for sign in (-1, 1)]
+    shifts += [(0.0, float(np.log(factor))) for factor in SETTINGS.dampings]
+    tried = [own.by(everything, np.array(step)) for step in shifts]
+    evidence = [evidence_of(one) for one in tried]
     gains = [gain_of(one, known) for one in evidence]
     if max(gains) < 0.5 * least and max(gain_apart(one, known) for one in evidence) < 0.5 * SETTINGS.open_from:
         return None
-    found = _closer(partial(_evidence, ringing), own, everything, tried[int(np.argmax(gains))])
-    seen = _evidence(ringing, found)
+    found = _closer(evidence_of, own, everything, tried[int(np.argmax(gains))])
+    seen = evidence_of(found)
     gain, apart = gain_of(seen, known), gain_apart(seen, known)
     narrow = gain < least or (apart < SETTINGS.open_from and gain < 2 * least)
     if (narrow and apart < SETTINGS.open_from) or not found.ringing.any() or contradicted(seen, known):
@@ -280,7 +304,7 @@ def moved_together(
         probability = float(expit(SETTINGS.open_steepness * (apart - SETTINGS.open_half)))
         return OtherShapes("natural frequency", (), found.rows, gain, found, probability)
     for place in range(len(found.changes)):
-        closer = _closer(partial(_evidence, ringing), found, place, found)
+        closer = _closer(evidence_of, found, place, found)
         found = closer if closer.ringing[place] else found
     frequency, damping = np.max(np.abs(found.changes), axis=0)
     kind = "natural frequency" if frequency > SETTINGS.told or damping < SETTINGS.told_damping else "damping ratio"
