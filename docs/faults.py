@@ -54,16 +54,21 @@ SUBJECTS = {
 
 def page(rows: list[dict[str, Any]]) -> str:
     """Return the page: what came of all, and a table for each subject."""
-    seeds, sound = (
-        1 + max((row["seed"] for row in rows if (row["group"] == "sound") == of_sound), default=-1)
-        for of_sound in (False, True)
-    )
+    count = {group: 1 + max(row["seed"] for row in rows if row["group"] == group) for group in {*map(group_of, rows)}}
+    sound = count.pop("sound", 0)
+    most, least = max(count.values(), default=0), min(count.values(), default=0)
+    seeds = f"{most}" if most == least else f"{least} to {most}"
     parts = [HEAD.format(seeds=seeds, sound=sound), *summary(rows)]
     for group, title in SUBJECTS.items():
         own = [row for row in rows if row["group"] == group]
         if own:
             parts += [f"## {title}\n", table(own) + "\n"]
     return "\n".join(parts)
+
+
+def group_of(row: dict[str, Any]) -> str:
+    """Return the subject of a record."""
+    return str(row["group"])
 
 
 def is_large(row: dict[str, Any]) -> bool:
