@@ -292,7 +292,10 @@ def _undivided(
         parts = with_matrix(parts, given, model)
     known = partial(_known, record, given if isinstance(given, Loads) else None)
     # what rounding leaves of a dead channel is no noise
-    own = {name: () if name in dead else part.doubts for name, part in parts.items()}
+    own = {
+        name: tuple(doubt for doubt in part.doubts if name not in dead or doubt.kind != "colored noise")
+        for name, part in parts.items()
+    }
     parts = {name: replace(part, doubts=(*_of(name, told + seen), *own[name])) for name, part in parts.items()}
     force = checked(Force(parts, known, settings, noises))
     for doubt in force.doubts:
