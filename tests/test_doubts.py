@@ -428,11 +428,28 @@ def test_a_large_line_at_the_mains_is_doubted_by_what_it_is_as_a_force():
     dynamics = Dynamics("AF", 1.0, (2 * np.pi * FREQUENCY) ** 2, 2 * 0.01 * 2 * np.pi * FREQUENCY)
     silent = SpectralPrior(Spectrum(np.zeros(0), np.zeros(0)), ShapingFilter.silent(), 1.0)
     line = Line(50.0, 3.0, 4.0, 0.01, 100.0)
-    ((doubt, error),) = hum_doubts(dynamics, silent, named=(), large=[line], count=4000, interval=1 / 1600, unit="N")
+    reading = Observation(np.zeros(4000), 1 / 1600, dynamics)
+    ((doubt, error),) = hum_doubts(reading, silent, reading.values, named=(), large=[line], unit="N")
     gain = np.abs(1 / (1 - (50 / FREQUENCY) ** 2 + 0.02j * 50 / FREQUENCY))
     assert doubt.effect == pytest.approx(5 / gain / 2**0.5, rel=1e-9)
     assert "a line at 50 Hz" in doubt.text
     assert np.sqrt(np.mean(error.deviation**2)) == pytest.approx(doubt.effect)
+
+
+@pytest.mark.parametrize(("frequency", "doubted"), [(118.5, False), (121.4, False), (120.05, True)])
+def test_a_steady_line_in_a_narrow_band_tells_whether_it_is_where_the_mains_are(frequency, doubted, rng):
+    """A spectrum of one second has levels at whole hertz; the line in it is known to hundredths, as its noise leaves.
+
+    The fifth harmonic of a rotor of 23.7 Hz is none of the mains', which keep within 0.1 % of 60 Hz.
+    """
+    dynamics = Dynamics("AF", 1.0, (2 * np.pi * FREQUENCY) ** 2, 2 * 0.01 * 2 * np.pi * FREQUENCY)
+    time = np.arange(1600) / 1600
+    reading = Observation(5 * np.sin(2 * np.pi * frequency * time + 1) + rng.normal(size=1600), 1 / 1600, dynamics)
+    spectrum = Spectrum(np.array([117.5, 122.5, 800.0]), np.array([0.0, 1e2, 0.0]))
+    learned = SpectralPrior(spectrum, ShapingFilter.silent(), 1.0)
+    found = hum_doubts(reading, learned, reading.values, named=(), large=[], unit="N")
+    assert len(found) == doubted
+    assert all(f"{frequency:.3g}" in doubt.text for doubt, _ in found)
 
 
 def test_few_readings_have_no_peaks():

@@ -124,20 +124,19 @@ def _of_hum(
     reading, learned = signal.reading, signal.learned
     component, count, interval = record.dynamics.component, reading.values.size, reading.interval
     unit = si_unit(component)
+    left = np.where(reading.present, reading.filled - fit.columns @ fit.sizes, 0.0)
     if hum != "keep" and not driven_lines(record, signal.large):
         for doubt, noise in hum_doubts(
-            record.dynamics,
+            reading,
             learned,
+            left,
             named=() if isinstance(hum, str) else hum,
             large=unknown_lines(record, signal.large),
             of_load=signal.of_load,
-            count=count,
-            interval=interval,
             unit=unit,
         ):
             yield [doubt], [noise]
     if hum == "mains" and record.noise is None:
-        left = np.where(reading.present, reading.filled - fit.columns @ fit.sizes, 0.0)
         lines = fit.sized(signal.hum)
         for doubt, noise in lines_within_load(reading, learned, lines=lines, unit=unit):
             yield [doubt], [noise]

@@ -7,12 +7,19 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.error_sources import Noise
 from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.signal_model import LARGEST_HUM
-from aerobalance.estimation.spectra.line_noise import LINE_EVIDENCE, MAINS, MOST_HARMONICS, Line, columns_of_lines
+from aerobalance.estimation.spectra.line_noise import (
+    LINE_EVIDENCE,
+    MAINS,
+    MAINS_TOLERANCE,
+    MOST_HARMONICS,
+    Line,
+    columns_of_lines,
+    strongest_line,
+)
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import Assumption, Doubt
@@ -44,24 +51,23 @@ COUNTS: Final = 0.1
 
 
 def hum_doubts(
-    dynamics: ModalModel,
+    reading: Observation,
     learned: SpectralPrior,
+    left: Array,
     *,
     named: Sequence[float],
     large: Sequence[Line],
     of_load: Sequence[Line] = (),
-    count: int,
-    interval: float,
     unit: str,
 ) -> list[tuple[Doubt, Noise]]:
     """Doubts about lines that are taken for force, each with what it does to the force if it is hum.
 
     Parameters
     ----------
-    dynamics
-        The balance.
-    learned
-        What was learned of the force.
+    reading, learned
+        The record, and what was learned of the force.
+    left
+        Readings without the steps and the lines that were found, 0 where missing, shape (n,) [N].
     named
         Frequencies that were named as hum, of which a line that drifts leaves a part; none to look where the mains are
         [Hz].
@@ -69,11 +75,10 @@ def hum_doubts(
         Lines at frequencies of the mains that are a large part of the record.
     of_load
         Lines there that are harmonics of a load that repeats.
-    count, interval
-        Samples of the record, and time between them [s].
     unit
         Unit of the force.
     """
+    dynamics, count, interval = reading.dynamics, reading.values.size, reading.interval
     component, found = dynamics.component, []
     for line in large:
         gain = float(np.abs(dynamics.response(np.array([line.frequency])))[0])
@@ -87,9 +92,7 @@ def hum_doubts(
         found += [
             (f"a narrow band at {middle:.4g} Hz", middle, rms)
             for low, high, rms in _narrow_bands(learned, interval, resolved=resolved)
-            for middle in [(low + high) / 2]
-            # of a faint band the edges are told badly; every second one would hold some multiple of the mains
-            if np.min(np.abs(middle / places - 1)) < NEAR or (named and np.any((low < places) & (places < high)))
+            for middle in _places_of_hum(left, interval, (low, high), places, named=bool(named))
             if not any(abs(middle / line.frequency - 1) < NARROW for line in of_load)
         ]
     where = "hum was named" if named else "the mains are"
@@ -286,6 +289,37 @@ def _narrow_bands(learned: SpectralPrior, interval: float, *, resolved: float) -
         beside = float(max(levels[place], levels[place + 2]))
         if level > STANDS_OUT * beside and high - low <= NARROW * (low + high) / 2 + resolved:
             yield low, high, float(np.sqrt(2 * (level - beside) * (high - low)))
+
+
+def _places_of_hum(
+    left: Array, interval: float, band: tuple[float, float], places: Array, *, named: bool
+) -> Iterator[float]:
+    """Yield where a narrow band of the force may be hum [Hz]: nowhere or at one frequency.
+
+    Parameters
+    ----------
+    left
+        Readings without the steps and the lines that were found, shape (n,) [N].
+    interval
+        Time between samples [s].
+    band
+        Its edges [Hz].
+    places
+        Frequencies of hum, shape (m,) [Hz].
+    named
+        Whether they were named: then one within the edges is enough.
+    """
+    low, high = band
+    middle, inside = (low + high) / 2, bool(np.any((low < places) & (places < high)))
+    # of a faint band the edges are told badly; every second one would hold some multiple of the mains
+    if named and inside:
+        yield middle
+    elif np.min(np.abs(middle / places - 1)) < NEAR:
+        line = strongest_line(left, interval, low=low, high=high)
+        if line is None:  # hum that drifts is no steady line
+            yield middle
+        elif np.min(np.abs(line.frequency / places - 1)) < MAINS_TOLERANCE + 4 * line.u_frequency / line.frequency:
+            yield line.frequency
 
 
 def unknown_lines(record: ComponentRecord, large: Sequence[Line]) -> tuple[Line, ...]:

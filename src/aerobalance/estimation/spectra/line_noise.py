@@ -245,6 +245,23 @@ def load_harmonics(
     return tuple(line for line in lines if _of_load(record, line, lines, response))
 
 
+def strongest_line(values: Array, interval: float, *, low: float, high: float) -> Line | None:
+    """Return the strongest line of a band, with frequency [Hz] and amplitudes [N]; None where none is steady.
+
+    Parameters
+    ----------
+    values
+        Readings, known shapes taken out, shape (n,) [N]; NaN where missing.
+    interval
+        Time between samples [s].
+    low, high
+        Edges of the band [Hz].
+    """
+    record = _Record.of(values, interval)
+    line = record.line((low + high) / 2, reach=(high - low) / 2 + record.ordinate)
+    return line if line.evidence > LINE_EVIDENCE and record.steady(line.frequency) else None
+
+
 def _total_evidence(lines: tuple[Line, ...]) -> float:
     """Sum of the evidence of all lines [1]: it decides between 50 and 60 Hz."""
     return sum(line.evidence for line in lines)
