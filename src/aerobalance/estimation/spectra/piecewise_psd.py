@@ -41,7 +41,11 @@ LEAK: Final = 40
 """Ordinates on either side of an edge between which the window leaks noticeably."""
 
 FAR: Final = 128
-"""The same for a force 1e11 times as strong as the noise, as it is in a record without any."""
+"""Most ordinates on either side of an edge that are looked at for what leaks: enough for a force 1e11 times as strong
+as the noise, as it is in a record without any."""
+
+LEAKS: Final = 1e-4
+"""Density that leaks over that of the noise from which on an ordinate is looked at for it."""
 
 TAILS: Final = 4
 """Last segments from whose lower edges on a tail is tried."""
@@ -61,6 +65,9 @@ TAIL_ENOUGH: Final = 0.01
 
 AT_ONCE: Final = 256
 """Averages whose costs are worked out at once."""
+
+_LEAKED: Final = leaked(-np.arange(FAR, dtype=np.float64))
+"""Share of the window's power beyond an edge so many ordinates away, falling."""
 
 SAME: Final = 1e-9
 """Distance of two edges, in ordinates, over which the window leaks the same."""
@@ -102,7 +109,7 @@ def fit_segments(periodogram: Periodogram, noise: float, *, rising: bool = False
     edges = (periodogram.frequency[last - 1] + periodogram.frequency[np.minimum(last, gain.size - 1)]) / 2
     edges[-1] = 0.5 / periodogram.interval
     rough = Spectrum(edges[kept], np.array(found)[kept])
-    rough = pruned(rough, lambda spectrum: periodogram.log_likelihood(periodogram.load(spectrum), noise), worth=WORTH)
+    rough = pruned(rough, periodogram, lambda load: periodogram.log_likelihood(load, noise), worth=WORTH)
     return sharpened(rough, periodogram, noise)
 
 
@@ -271,18 +278,36 @@ def _fallen(spectrum: Spectrum, last: int, periodogram: Periodogram, noise: floa
     return found, float(likelihood[chosen])
 
 
-def pruned(spectrum: Spectrum, likelihood: Callable[[Spectrum], float], *, worth: float) -> Spectrum:
-    """The spectrum without segments that what the window leaks from others, or the noise, explains as well."""
-    here = likelihood(spectrum)
-    for place in reversed(range(spectrum.levels.size)):
-        levels = spectrum.levels.copy()
-        levels[place] = 0.0
-        kept = np.append(np.diff(levels) != 0, True)
-        shorter = Spectrum(spectrum.edges[kept], levels[kept])
-        without = likelihood(shorter)
+def pruned(
+    spectrum: Spectrum, periodogram: Periodogram, likelihood: Callable[[Array], float], *, worth: float
+) -> Spectrum:
+    """The spectrum without segments that what the window leaks from others, or the noise, explains as well.
+
+    Parameters
+    ----------
+    spectrum, periodogram
+        The segments, and the reading.
+    likelihood
+        Logarithm of the likelihood of a density of the load, shape (m,) [N^2/Hz].
+    worth
+        What a segment must bring of it.
+    """
+    levels = spectrum.levels.copy()
+    above = [periodogram.gain, *(periodogram.gain_above(float(edge)) for edge in spectrum.edges[:-1])]
+    felt = [
+        level * np.maximum(here - beyond, 0.0)
+        for level, here, beyond in zip(levels, above, [*above[1:], np.zeros(periodogram.gain.size)], strict=True)
+    ]
+    load = np.sum(felt, axis=0)
+    here = likelihood(load)
+    for place in reversed(np.flatnonzero(levels)):
+        # what is left of a difference is no density below zero
+        fewer = np.maximum(load - felt[place], 0.0)
+        without = likelihood(fewer)
         if here - without < worth:
-            spectrum, here = shorter, without
-    return spectrum
+            levels[place], load, here = 0.0, fewer, without
+    kept = np.append(np.diff(levels) != 0, True)
+    return Spectrum(spectrum.edges[kept], levels[kept])
 
 
 def _levels(periodogram: Periodogram, background: Array) -> Array:
@@ -375,9 +400,16 @@ class _EdgeCost:
         below, above = np.cumsum(np.log(models) + density / models, axis=1)
         return cls(part.start, density, gain, background, levels, np.append(0.0, below), np.append(0.0, above))
 
+    @property
+    def reach(self) -> int:
+        """Ordinates on either side of the edge within which the force that leaks is no less than a trace of noise."""
+        most = abs(float(self.levels[1] - self.levels[0])) * float(np.max(self.gain / self.background))
+        return int(min(np.searchsorted(-_LEAKED, -LEAKS / max(most, LEAKS)) + 1, FAR))
+
     def best(self, tried: Array) -> float:
         """The edge of least cost among some that are tried, in ordinates from the first."""
-        count, below, about = self.density.size, np.floor(tried), np.arange(1 - FAR, FAR + 1)
+        reach = self.reach
+        count, below, about = self.density.size, np.floor(tried), np.arange(1 - reach, reach + 1)
         near = below.astype(np.int64)[:, None] - self.start + about
         inside = (near >= 0) & (near < count)
         near = np.minimum(np.maximum(near, 0), count - 1)

@@ -212,7 +212,8 @@ def _segmented(periodogram: Periodogram, noise: float, *, floor: float | None, r
             break
     spectrum = pruned(
         spectrum,
-        lambda other: _with_noise(other, periodogram, here.noise_density, floor=floor).log_likelihood,
+        periodogram,
+        lambda load: periodogram.log_likelihood(load, _noise_beside(load, periodogram, here.noise_density, floor)),
         worth=SEGMENT_EVIDENCE,
     )
     spectrum = with_tail(spectrum, periodogram, here.noise_density)
@@ -222,11 +223,15 @@ def _segmented(periodogram: Periodogram, noise: float, *, floor: float | None, r
 def _with_noise(spectrum: Spectrum, periodogram: Periodogram, noise: float, *, floor: float | None) -> SpectrumFit:
     """A spectrum with the noise that goes with it."""
     load = periodogram.load(spectrum)
-    if floor is not None:
-        noise = max(_noise_level(periodogram, load, noise), floor)
+    noise = _noise_beside(load, periodogram, noise, floor)
     likelihood = periodogram.log_likelihood(load, noise)
     price = 0.5 * spectrum.parameters * float(np.log(np.sum(periodogram.weight)))
     return SpectrumFit(spectrum, noise, likelihood, likelihood - price)
+
+
+def _noise_beside(load: Array, periodogram: Periodogram, noise: float, floor: float | None) -> float:
+    """Density of the noise beside that of a load, (m,), from one to begin with; that one where no floor is given."""
+    return noise if floor is None else max(_noise_level(periodogram, load, noise), floor)
 
 
 def expected_noise(periodogram: Periodogram, fit: SpectrumFit) -> float:
