@@ -214,9 +214,11 @@ def spoken_for(
     own = evidence.of(dynamics)
     confirmed = own - evidence.of(none)
     tried = [("no resonance", none), *_others(dynamics, peaks, confirmed=confirmed)]
-    best = max(evidence.of(other) for _, other in tried) - own
+    likely = [other for _, other in tried if evidence.may_gain(other, dynamics, SETTINGS.worth_a_look)]
+    best = max(evidence.of(other) for other in (none, *likely)) - own
     clear = None
     if best >= SETTINGS.decisive:
+        best = max(evidence.of(other) for _, other in tried) - own
         clear = _clearest(evidence, dynamics, tried, own=own, best=best)
     elif -confirmed >= SETTINGS.open_far and not steps:
         clear = _open_far(Spoken("no resonance", none, -confirmed))
@@ -330,7 +332,7 @@ def _beside(
 
     Nothing is paid for their two numbers: a resonance is looked for where one is known to be.
     """
-    if evidence.of(near) - own < SETTINGS.worth_a_look:
+    if not evidence.may_gain(near, dynamics, 0.0) or evidence.of(near) - own < SETTINGS.worth_a_look:
         return None
     other = _best_near(evidence, "natural frequency", dynamics, near)
     gain = evidence.of(other) - own
