@@ -404,7 +404,7 @@ class _EdgeCost:
     def reach(self) -> int:
         """Ordinates on either side of the edge within which the force that leaks is no less than a trace of noise."""
         most = abs(float(self.levels[1] - self.levels[0])) * float(np.max(self.gain / self.background))
-        return int(min(np.searchsorted(-_LEAKED, -LEAKS / max(most, LEAKS)) + 1, FAR))
+        return min(int(np.count_nonzero(_LEAKED * most > LEAKS)) + 1, FAR)
 
     def best(self, tried: Array) -> float:
         """The edge of least cost among some that are tried, in ordinates from the first."""
