@@ -201,9 +201,14 @@ def missing_mode(seen: Averaged, dynamics: ModalModel) -> MissingMode | None:
         if band.size < 16:
             continue
         plain = _fit(seen, band, _fixed(dynamics), start=np.zeros(0), scale=np.zeros(0))
+        most = _most_likely(seen, band) - SETTINGS.evidence
+        if plain.twice_log_likelihood >= most:
+            continue
         start = np.log([centre, SETTINGS.likely, SETTINGS.share])
         either = [_further_mode(seen, band, dynamics, start, sign=sign) for sign in (1, -1)]
         edge = _edge(seen, band, dynamics, max(either, key=_likelihood).mode)
+        if edge.twice_log_likelihood >= most:
+            continue
         price = 2 * np.log(band.size)  # Schwarz's, of the two numbers of an edge, which is no fault
         if edge.twice_log_likelihood - plain.twice_log_likelihood > price:
             # a mode alone would bend to an edge as well, and its share be another
@@ -222,6 +227,11 @@ def missing_mode(seen: Averaged, dynamics: ModalModel) -> MissingMode | None:
         ):
             return _with_either_sign(found, min(either, key=_likelihood))
     return None
+
+
+def _most_likely(seen: Averaged, band: NDArray[np.intp]) -> float:
+    """Twice the log-likelihood that no model exceeds: that of one which expects what is read, ordinate by ordinate."""
+    return -2 * seen.averages * SETTINGS.independent * float(np.sum(np.log(np.maximum(seen.power[band], 1e-300)) + 1))
 
 
 class _FurtherMode(NamedTuple):
