@@ -13,7 +13,16 @@ from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks import other_dynamics, resonance
 from aerobalance.estimation.checks.evidence import Evidence
-from aerobalance.estimation.checks.local_modes import SETTINGS, Averaged, missing_mode, own_resonance, smeared
+from aerobalance.estimation.checks.local_modes import (
+    SETTINGS,
+    Averaged,
+    _fit,
+    _fixed,
+    _most_likely,
+    missing_mode,
+    own_resonance,
+    smeared,
+)
 from aerobalance.estimation.checks.model_error import LEFT_OPEN, error_under
 from aerobalance.estimation.checks.near_resonance import near_resonance
 from aerobalance.estimation.checks.other_dynamics import OtherDynamics, _if_changed, other_dynamics_in, without_steps
@@ -604,3 +613,44 @@ def test_a_step_that_has_not_begun_to_ring_tells_nothing(rng):
     change = change_by_steps(reading, [Step(999.5 / RATE, 0.0, 500.0)], learned)
     assert change.gain == 0
     assert not change.change.any()
+
+
+ALIKE = (
+    "stiffness +20 %, soft, 2.5 s",
+    "mode at 1.5 f0, 10 %, soft, 2.5 s",
+    "soft 30 Hz, 100 N",
+    "f0 57 Hz, step, 0.6 s",
+    "stiffness -5 %, soft, 2.5 s",
+    "damping x3, soft, 2.5 s",
+    "mode at 2.3 f0, 3 %, soft, 2.5 s",
+    "mode at 2.3 f0, -3 %, step, 2.5 s",
+    "step",
+)
+
+
+@pytest.mark.parametrize("name", ALIKE)
+@pytest.mark.soak(first=3)
+def test_dynamics_left_out_at_a_first_look_change_no_answer(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A record whose force rolls off says the same where every kind of spectrum is tried with all other dynamics."""
+    case = next(one for one in all_cases() if one.name == name)
+    seed = new_seed()
+    quick = trial((case, seed))
+    monkeypatch.setattr(Evidence, "may_gain", lambda *_: True)
+    whole = trial((case, seed))
+    assert quick["kinds"] == whole["kinds"]
+    assert quick["said"] == whole["said"]
+    assert quick["error"] == pytest.approx(whole["error"], rel=1e-6)
+    assert quick["u"] == pytest.approx(whole["u"], rel=1e-6)
+
+
+def test_no_model_is_likelier_than_one_that_expects_what_is_read(rng):
+    """What a search is left out by: no resonance is twice as likely as its own readings, at any place."""
+    seen = Averaged.of(rng.normal(size=8000), interval=1 / RATE, noise=0.5)
+    assert seen is not None
+    for centre in (30.0, 66.0, 300.0):
+        band = seen.near(centre)
+        plain = _fit(seen, band, _fixed(T128), start=np.zeros(0), scale=np.zeros(0))
+        readings = seen.power[band]
+        weight = seen.averages * SETTINGS.independent
+        assert _most_likely(seen, band) == pytest.approx(-2 * weight * np.sum(np.log(readings) + readings / readings))
+        assert plain.twice_log_likelihood < _most_likely(seen, band)

@@ -135,7 +135,8 @@ BROAD = band(200.0, 0, 100)
 SLOW = band(60.0, 0, 20)
 MIDDLE = band(60.0, 0, 60)
 STEP = together(step(500.0), band(12.0, 0, 30))
-LOADS: dict[str, Maker] = {"broad": BROAD, "slow": SLOW, "step": STEP}
+SOFT = soft(100.0, 30.0)
+LOADS: dict[str, Maker] = {"broad": BROAD, "slow": SLOW, "step": STEP, "soft": SOFT}
 LONG = Clock(samples=16000)
 GROUND = band(2.0, 5, 100)
 
@@ -338,7 +339,7 @@ def wrong_dynamics() -> Iterator[Case]:
 def on_the_way() -> Iterator[Case]:
     """Return balances whose natural frequency is another after half of 20 s."""
     clock = Clock(samples=32_000)
-    loads = {name: force for name, force in LOADS.items() if name != "slow"}  # that tells no natural frequency
+    loads = {name: LOADS[name] for name in ("broad", "step")}  # a slow one tells no natural frequency
     for name, force in loads.items():
         for share in (0.01, -0.01, 0.03, -0.03):
             yield Case(
@@ -368,7 +369,7 @@ def missing_modes() -> Iterator[Case]:
     kinds = ("missing mode",)
     for factor, share in ((2.3, 0.03), (2.3, -0.03), (1.5, 0.1), (1.05, 0.03), (6.0, 0.02)):
         modes = Modes(((FREQUENCY, RATIO, 1 - share), (factor * FREQUENCY, 0.008, share)))
-        for name, force in {"0-200 Hz": band(200.0, 0, 200), "0-100 Hz": BROAD, "step": STEP}.items():
+        for name, force in {"0-200 Hz": band(200.0, 0, 200), "0-100 Hz": BROAD, "step": STEP, "soft": SOFT}.items():
             for clock, seconds in ((Clock(), "2.5 s"), (LONG, "10 s")):
                 yield Case(
                     f"mode at {factor:g} f0, {100 * share:g} %, {name}, {seconds}",
