@@ -30,6 +30,12 @@ SHARE: Final = 0.02
 LEFT: Final = 0.05
 """Power that a sine leaves of a tone at most, over that of the peak."""
 
+LOBE: Final = 2
+"""Ordinates on either side of a peak within which a sine shows: beyond, up to `WIDTH`, are 5e-4 of its power."""
+
+BROAD: Final = 0.07
+"""Power beyond those over that of the peak from which no sine leaves so little: (0.07^0.5 - 0.022)^2 is 0.059."""
+
 
 def without_tones(loads: Array, *, above: float = 0.0) -> Array:
     """Loads less their steady tones, as of a rotor, shape (samples, n).
@@ -53,10 +59,14 @@ def without_tones(loads: Array, *, above: float = 0.0) -> Array:
         power = np.sum(np.abs(spectrum) ** 2, axis=1) * searched
         place = int(np.argmax(power))
         near = slice(max(place - WIDTH, 0), place + WIDTH + 1)
-        if not power[near].sum() > SHARE * power.sum():
+        own = float(power[near].sum())
+        if not own > SHARE * power.sum():
             break
+        if power[place - WIDTH : place - LOBE].sum() + power[place + LOBE + 1 : place + WIDTH + 1].sum() > BROAD * own:
+            searched[near] = False
+            continue
         rate, after = nearest_sine(spectrum, place, count)
-        if after < LEFT * power[near].sum():
+        if after < LEFT * own:
             both = np.column_stack([np.cos(rate * time), np.sin(rate * time)])
             shown = both * taper
             left = left - both @ np.linalg.lstsq(shown.T @ shown, shown.T @ (left * taper))[0]
