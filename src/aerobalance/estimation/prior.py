@@ -269,8 +269,8 @@ def ends_differ(values: Array, interval: float) -> bool:
     return bool(np.any(own & (shown >= UNEVEN * hidden) & (shown > 0)))
 
 
-def evenly_weighted(reading: Observation, *, columns: Array) -> Observation:
-    """The reading, its ends weighed as its middle where that makes it much likelier.
+def evenly_weighted(reading: Observation, *, columns: Array) -> tuple[Observation, SpectralPrior | None]:
+    """The reading, its ends weighed as its middle where that makes it much likelier, and its prior where it is known.
 
     The window of a periodogram hides the ends of a record. Where a load sweeps through frequencies, what was there at
     the ends is missing in the spectrum, and those readings are then taken for one shock after the other.
@@ -283,15 +283,14 @@ def evenly_weighted(reading: Observation, *, columns: Array) -> Observation:
         Known shapes whose sizes are free, shape (n, p).
     """
     if not reading.present.all() or reading.values.size < UNEVEN_FROM:
-        return reading
+        return reading, None
     if not ends_differ(reading.values, reading.interval):
-        return reading
-    even = replace(reading, even=True)
-    found = []
-    for one in (reading, even):
-        learned = refine_edges(one, fit_prior(one, columns=columns), columns=columns)
-        found.append(evidence_of_prior(one, learned, columns=columns))
-    return even if found[1] > found[0] + UNEVEN_EVIDENCE else reading
+        return reading, None
+    both = (reading, replace(reading, even=True))
+    priors = [refine_edges(one, fit_prior(one, columns=columns), columns=columns) for one in both]
+    tapered, even = (evidence_of_prior(*one, columns=columns) for one in zip(both, priors, strict=True))
+    chosen = int(even > tapered + UNEVEN_EVIDENCE)
+    return both[chosen], priors[chosen]
 
 
 def refine_edges(reading: Observation, learned: SpectralPrior, *, columns: Array) -> SpectralPrior:

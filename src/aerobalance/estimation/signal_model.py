@@ -175,8 +175,8 @@ def _evidence(signal: SignalModel) -> float:
 def _fitted(reading: Observation, mains: _MainsLines, *, hum: Hum, resolution: float | None) -> SignalModel:
     """Steps and prior of a record whose lines of the mains and tones are named."""
     named, floor = _looked_above(replace(reading, hum=tuple(line.frequency for line in mains.hum)), [])
-    named = evenly_weighted(named, columns=columns_of([], named))
-    search = StepSearch(named)
+    named, begin = evenly_weighted(named, columns=columns_of([], named))
+    search = StepSearch(named, begin)
     steps, learned = search.run()
     if steps and named.even:  # a step beside an end is no reason for it
         heights = np.array([0.0, *(step.height for step in steps)])

@@ -85,6 +85,8 @@ class StepSearch:
     ----------
     reading
         The record.
+    begin
+        Its prior without any steps; None where that is to be learned.
     filters
         Priors that were asked for last, with their filters.
     end
@@ -94,6 +96,7 @@ class StepSearch:
     """
 
     reading: Observation
+    begin: SpectralPrior | None = None
     filters: list[tuple[SpectralPrior, KalmanFilter]] = field(default_factory=list)
     end: str = ""
     bends: list[float] = field(default_factory=list)
@@ -102,7 +105,7 @@ class StepSearch:
         """Return the steps in the order of their instants, and the prior of the force without them."""
         reading, steps, rounds = self.reading, list[Step](), 0
         columns = columns_of(steps, reading)
-        learned = refine_edges(reading, fit_prior(reading, columns=columns), columns=columns)
+        learned = self.begin or refine_edges(reading, fit_prior(reading, columns=columns), columns=columns)
         faint, tested = 0, list[Step]()
         steps, learned = self._returning(learned, steps) or (steps, learned)
         returns = bool(steps)
