@@ -76,6 +76,9 @@ class ModeShapeSettings:
     end: float = 1e-3
 
 
+EXCHANGED: Final = ("swapped sign", "swapped channels")
+"""Kinds of doubt about how the channels are wired."""
+
 SETTINGS: Final = ModeShapeSettings()
 """Settings that are used."""
 
@@ -126,8 +129,9 @@ def other_shapes(ringing: RingingSpectra, dynamics: CoupledDynamics, *, far: boo
     best = int(np.argmax(gains))
     gain, (kind, places, rows) = gains[best], exchanged[best]
     moved = moved_together(ringing, dynamics, known, least=max(gain, MOVED.moved), far=far)
-    if (gain > SETTINGS.decisive or moved is not None) and ringing.together:
-        # what is likelier for forces that have nothing to do with each other may not be so for those of one load
+    if (gain > SETTINGS.decisive or moved is not None or far) and ringing.together:
+        # what is likelier for forces that have nothing to do with each other may not be so for those of one load, nor
+        # is what is less likely
         known = ringing.evidence_together(own, determinant=volume)
         gain = gain_of(ringing.evidence_together(rows), known) - price[best]
         moved = moved_together(ringing, dynamics, known, least=max(gain, MOVED.moved), far=far, together=True)
@@ -184,7 +188,9 @@ def shape_doubts(
         return {}
     readings = {name: one.reading() for name, one in record.component_records(filled).items()}
     found = _by_shapes(record, filled, parts, readings)
-    gains = _in_white_noise(readings, parts)
+    # the forces of a channel that has another sign or is another's have a color of their own
+    exchanged = any(doubt.kind in EXCHANGED for part in found.values() for doubt in part.doubts)
+    gains = {} if exchanged else _in_white_noise(readings, parts)
     return _of_another_balance(record, filled, {**parts, **found}, gains) if gains else found
 
 
@@ -388,7 +394,11 @@ def _spoken(
         return moved_alone(seen, record.dynamics) or one_moved(seen, record, parts, readings, first=first)
 
     # of most records nothing is found, and both are asked
-    far = any(part.learned is not None and part.learned.color is not None for part in parts.values())
+    far = any(
+        (part.learned is not None and part.learned.color is not None)
+        or any(doubt.kind == "unexplained" for doubt in part.doubts)
+        for part in parts.values()
+    )
     other, one = both(lambda: other_shapes(seen, record.dynamics, far=far), moved)
     if other is None:
         return one
