@@ -25,7 +25,7 @@ from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.error_sources import Noise
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.prior import Observation, SpectralPrior
-from aerobalance.estimation.spectra.line_noise import Line
+from aerobalance.estimation.spectra.lines import Line
 from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.io import write_recording

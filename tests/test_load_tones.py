@@ -6,7 +6,7 @@ import pytest
 import aerobalance as ab
 from aerobalance.estimation.force_smoother import forces_of_tones
 from aerobalance.estimation.prior import Observation
-from aerobalance.estimation.spectra.line_noise import columns_of_lines, turned_time
+from aerobalance.estimation.spectra.lines import columns_of_lines, turned_time
 from aerobalance.estimation.spectra.load_tones import load_tones
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.doubts import Verdict

@@ -12,7 +12,7 @@ from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.error_sources import Divided, Noise, Systematic
 from aerobalance.estimation.force_parts import ForcePart
 from aerobalance.estimation.result import ComponentForce, ForceSummary
-from aerobalance.estimation.spectra.line_noise import Line
+from aerobalance.estimation.spectra.lines import Line
 from aerobalance.estimation.steps import Step
 from aerobalance.estimation.sums import ForceSums, Key, SampledForce, SpectrumSums, segment_length
 from aerobalance.recording.channel import Array

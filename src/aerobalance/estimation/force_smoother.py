@@ -17,7 +17,7 @@ from aerobalance.estimation.prior import (
     least_squares,
     whitened,
 )
-from aerobalance.estimation.spectra.line_noise import Line, columns_of_lines
+from aerobalance.estimation.spectra.lines import Line, columns_of_lines
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, StateSpace
 from aerobalance.estimation.steps import Step, columns_of, response_to, shape_of, side_variance
 from aerobalance.recording.channel import Array

@@ -121,7 +121,7 @@ class Observation:
     tones
         Frequencies of steady lines of the force [Hz].
     drift
-        How these drift along the record, all alike (`aerobalance.estimation.spectra.line_noise.turned_time`).
+        How these drift along the record, all alike (`aerobalance.estimation.spectra.lines.turned_time`).
     color
         What the noise has beyond that; None if nothing is known of it.
     rising

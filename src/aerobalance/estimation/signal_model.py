@@ -23,7 +23,8 @@ from aerobalance.estimation.prior import (
     least_squares,
     log_likelihood,
 )
-from aerobalance.estimation.spectra.line_noise import Hum, Line, hum_lines, load_harmonics
+from aerobalance.estimation.spectra.line_noise import Hum, hum_lines, load_harmonics
+from aerobalance.estimation.spectra.lines import Line
 from aerobalance.estimation.spectra.load_tones import LoadTones, load_tones
 from aerobalance.estimation.spectra.noise_floor import Floor, with_floor
 from aerobalance.estimation.spectra.slow_noise import SlowNoise, slow_noise_of

@@ -15,7 +15,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from scipy.special import ndtr
 
 from aerobalance.estimation.prior import Observation
-from aerobalance.estimation.spectra.line_noise import columns_of_lines
+from aerobalance.estimation.spectra.lines import columns_of_lines
 from aerobalance.recording.channel import Array
 from aerobalance.recording.decimation import SPAN, decimation_filter
 

@@ -16,10 +16,9 @@ from aerobalance.estimation.spectra.line_noise import (
     MAINS,
     MAINS_TOLERANCE,
     MOST_HARMONICS,
-    Line,
-    columns_of_lines,
     strongest_line,
 )
+from aerobalance.estimation.spectra.lines import Line, columns_of_lines
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import Assumption, Doubt

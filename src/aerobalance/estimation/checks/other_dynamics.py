@@ -25,7 +25,7 @@ from aerobalance.estimation.checks.step_ringing import change_by_steps
 from aerobalance.estimation.independent_record import SingleRecord
 from aerobalance.estimation.prior import Observation, SpectralPrior
 from aerobalance.estimation.record import FEWEST_SAMPLES, ComponentRecord
-from aerobalance.estimation.spectra.line_noise import Line, reading_of_lines
+from aerobalance.estimation.spectra.lines import Line, reading_of_lines
 from aerobalance.estimation.spectra.steady_tones import without_tones
 from aerobalance.estimation.step_window import free_motions
 from aerobalance.estimation.steps import Step, columns_of

@@ -23,7 +23,8 @@ from scipy.fft import rfft
 from scipy.special import expit
 
 from aerobalance.dynamics.modal import ModalModel
-from aerobalance.estimation.spectra.line_noise import MAINS, turned_time
+from aerobalance.estimation.spectra.line_noise import MAINS
+from aerobalance.estimation.spectra.lines import turned_time
 from aerobalance.estimation.spectra.steady_tones import BAND, LEFT, WIDTH, nearest_sine
 from aerobalance.recording.channel import Array
 from aerobalance.recording.fourier import hann
@@ -119,7 +120,7 @@ class LoadTones(NamedTuple):
     hidden
         Force of further harmonics that noise may hide, rms [N].
     drift
-        How they drift along the record (`aerobalance.estimation.spectra.line_noise.turned_time`).
+        How they drift along the record (`aerobalance.estimation.spectra.lines.turned_time`).
     """
 
     frequencies: tuple[float, ...] = ()

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.dynamics.modal import ModalModel
-from aerobalance.estimation.spectra.line_noise import MAINS, MOST_HARMONICS, Line, columns_of_lines, hum_lines
+from aerobalance.estimation.spectra.line_noise import MAINS, MOST_HARMONICS, hum_lines
+from aerobalance.estimation.spectra.lines import Line, columns_of_lines
 from aerobalance.estimation.spectra.noise_spectrum import Hump
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
