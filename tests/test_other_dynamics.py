@@ -26,6 +26,8 @@ from aerobalance.estimation.checks.local_modes import (
 from aerobalance.estimation.checks.model_error import LEFT_OPEN, error_under
 from aerobalance.estimation.checks.near_resonance import near_resonance
 from aerobalance.estimation.checks.other_dynamics import OtherDynamics, _if_changed, other_dynamics_in, without_steps
+from aerobalance.estimation.checks.spoken import SETTINGS as SPOKEN
+from aerobalance.estimation.checks.spoken import Spoken
 from aerobalance.estimation.checks.step_ringing import change_by_steps
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.prior import Observation, fit_prior
@@ -437,7 +439,7 @@ def test_another_resonance_is_told_beside_narrow_loads(factor, rng):
     values = run.channel("AF").values
     evidence = Evidence(values - values.mean(), 1 / RATE, 1e-6 * 4.0 / RATE, among=(BARE, other))
     band = BARE.natural_frequency * 0.94, BARE.natural_frequency * 1.06
-    assert evidence.over_narrow_loads(BARE, other, band) > resonance.SETTINGS.band_decisive
+    assert evidence.over_narrow_loads(BARE, other, band) > SPOKEN.band_decisive
     assert evidence.over_narrow_loads(other, BARE, band) < 0
     assert looked_at(run, other).frequency is not None
 
@@ -532,7 +534,7 @@ def test_what_a_record_leaves_open_counts_by_its_probability(probability, monkey
     recording = Recording.from_columns(np.arange(values.size) / RATE, {"AF": Channel("AF", values, "N")})
     before = estimate_force(recording, BARE).only
     other = BARE.retuned(frequency=1.002, damping=1.0)
-    spoken = resonance.Spoken("natural frequency", other, 10.0, probability=probability)
+    spoken = Spoken("natural frequency", other, 10.0, probability=probability)
     monkeypatch.setattr(other_dynamics, "spoken_for", lambda *_, **__: spoken)
     after = estimate_force(recording, BARE)
     assert after.doubts == ()

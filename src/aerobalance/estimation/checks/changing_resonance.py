@@ -18,7 +18,7 @@ from scipy.special import fdtrc
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.near_resonance import near_resonance
-from aerobalance.estimation.checks.resonance import Spoken
+from aerobalance.estimation.checks.spoken import Spoken
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array
 from aerobalance.recording.fourier import hann

@@ -26,7 +26,7 @@ from aerobalance.estimation.checks.other_dynamics import (
     without_steps,
 )
 from aerobalance.estimation.checks.peaks import peak_doubts
-from aerobalance.estimation.checks.resonance import Spoken
+from aerobalance.estimation.checks.spoken import Spoken
 from aerobalance.estimation.checks.step_ringing import friction_by_steps
 from aerobalance.estimation.checks.unmeasured_rotation import turning_by_angles
 from aerobalance.estimation.coupled_record import CoupledRecord

@@ -21,8 +21,8 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.estimation.checks.changing_resonance import calm_stretch
 from aerobalance.estimation.checks.evidence import evidence_in
 from aerobalance.estimation.checks.near_resonance import near_resonance
-from aerobalance.estimation.checks.resonance import SETTINGS as RESONANCE
 from aerobalance.estimation.checks.ringing import RingingSpectra, Rows, most_samples
+from aerobalance.estimation.checks.spoken import SETTINGS as RESONANCE
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.prior import Observation
 from aerobalance.estimation.record import FEWEST_SAMPLES

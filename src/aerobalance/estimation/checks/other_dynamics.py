@@ -20,7 +20,8 @@ from aerobalance.estimation.checks.changing_resonance import changes_along, stre
 from aerobalance.estimation.checks.evidence import Evidence
 from aerobalance.estimation.checks.local_modes import Averaged, missing_mode, own_resonance
 from aerobalance.estimation.checks.peaks import Peak
-from aerobalance.estimation.checks.resonance import Spoken, left_open, spoken_for
+from aerobalance.estimation.checks.resonance import left_open, spoken_for
+from aerobalance.estimation.checks.spoken import Spoken
 from aerobalance.estimation.checks.step_ringing import change_by_steps
 from aerobalance.estimation.independent_record import SingleRecord
 from aerobalance.estimation.prior import Observation, SpectralPrior

@@ -9,9 +9,8 @@ chooses among them as well. That needs no record of a given length and no load o
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from typing import Final, NamedTuple
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import minimize
@@ -27,149 +26,10 @@ from aerobalance.estimation.checks.free_oscillation import (
     gain_beside,
 )
 from aerobalance.estimation.checks.near_resonance import near_resonance
+from aerobalance.estimation.checks.spoken import MOVED, SETTINGS, Spoken, is_line, named, price_of
 from aerobalance.estimation.prior import SpectralPrior
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array
-
-
-@dataclass(frozen=True, slots=True)
-class ResonanceSettings:
-    """What is tried, and from which evidence on it is believed.
-
-    Attributes
-    ----------
-    decisive
-        Gain in log-likelihood, the price of the numbers paid, that other dynamics must bring. Of 576 records that
-        agree none left a further mode open.
-    worth_a_look
-        Gain from which on a resonance near the expected one is looked at closer.
-    decisive_near
-        Gain that a resonance near the expected one must bring, for which no price is paid.
-    open_from, open_half, open_steepness
-        Gain of such a resonance from which on the record leaves it open, at which it is as likely as the expected one,
-        and how fast that grows. Of 1100 records that agree, of eleven kinds, 11 reached 4, 2 reached 6 and one
-        reached 10.
-    open_far, open_far_half
-        The same of a further mode, the price of its numbers paid, and of a balance that does not ring.
-    usual
-        Factor by which a damping ratio is usually off, one standard deviation of its logarithm: of a short record a
-        resonance of any width may be left, and one ten times as wide is not as likely as one that is nearly the same.
-    by_steps
-        Gain of the expected dynamics with the steps that were found over other ones, from which on these are not
-        believed. A missing mode that is taken for a slower release gives up to 23; a square wave 120 and more.
-    many
-        Steps more than a period apart from which on a resonance as narrow as a line of their spectrum is one, and no
-        resonance.
-    confirmed
-        Gain of the dynamics over a balance that does not ring, from which it is certain that it rings near there.
-    far, broad
-        Relative change of the natural frequency from which a resonance with more than this damping ratio is taken for
-        a narrow band of the load, unless the record speaks against its own resonance.
-    shifts
-        Relative changes of the natural frequency that are tried.
-    dampings
-        Factors of the damping ratio that are tried.
-    shares, large_shares
-        Shares of a further mode that are tried, and the damping ratio that it is tried with; large ones at the highest
-        peak alone, and at the highest that is far from all known modes.
-    most_tries
-        Dynamics of a kind that are tried at most to come to the best; near that as many more as it is looked closer.
-    beyond
-        Factor of the natural frequency that puts it beyond all that is looked at.
-    line, line_beside, line_damped
-        Width in ordinates up to which a moved resonance, a mode beside it, and the known resonance with less damping
-        are a tone: the last is what the window makes of one.
-    band
-        Half widths of a narrow band of the load over the frequency of a peak that it may make: a tone that wanders.
-    band_from, band_half, band_decisive
-        Gain of other dynamics over the expected ones beside such a load from which on they are possible, at which they
-        are as likely as that load, and from which on they are believed. Of 70 records with a tone that wanders, or a
-        narrow band, none reached 1.2, but for a band that has the shape of a resonance; of 24 with another natural
-        frequency, by 2.5 % and more, the least was 4.4.
-    band_alike
-        The last of a resonance that the record resolves and whose damping is the known one: such a load has the same
-        width by chance alone.
-    band_damped, band_mode
-        The same of less damping alone, which such a load at the natural frequency looks like, and of a further mode,
-        which is named with it: what is left is that a resonance needs a force that shows beside it as well.
-    line_reach
-        Ordinates on either side of a tone in which it shows.
-    closer
-        Size of the second search over that of the first.
-    share_shift
-        Relative change of a share by which its uncertainty is taken.
-    """
-
-    decisive: float = 12.0
-    worth_a_look: float = 2.0
-    decisive_near: float = 11.0
-    open_from: float = 4.5
-    open_half: float = 8.0
-    open_steepness: float = 0.8
-    usual: float = 2.0
-    open_far: float = 7.0
-    open_far_half: float = 10.0
-    by_steps: float = 50.0
-    many: int = 5
-    confirmed: float = 25.0
-    far: float = 0.1
-    broad: float = 0.03
-    shifts: tuple[float, ...] = (-0.03, -0.01, 0.01, 0.03)
-    dampings: tuple[float, ...] = (1 / 2.5, 2.5)
-    shares: tuple[tuple[float, float], ...] = ((0.03, 0.008), (-0.03, 0.008))
-    large_shares: tuple[tuple[float, float], ...] = ((0.1, 0.012), (-0.1, 0.012))
-    most_tries: int = 20
-    beyond: float = 1e3
-    line: float = 0.3
-    line_beside: float = 2.0
-    line_damped: float = 1.44
-    band: tuple[float, ...] = (0.06, 0.1)
-    band_from: float = 0.5
-    band_half: float = 1.5
-    band_decisive: float = 3.0
-    band_alike: float = 2.0
-    band_damped: float = -3.0
-    band_mode: float = -5.0
-    line_reach: float = 3.0
-    closer: float = 0.3
-    share_shift: float = 0.3
-
-
-SETTINGS: Final = ResonanceSettings()
-"""Settings that are used."""
-
-SAME_DAMPING: Final = 1e-6
-"""Relative difference of two damping ratios that is rounding."""
-
-MOVED: Final = ("natural frequency", "damping ratio")
-"""Kinds of dynamics with as many modes as are known: the same free oscillation tells against either."""
-
-
-class Spoken(NamedTuple):
-    """The dynamics that a record speaks for, and how clearly.
-
-    Attributes
-    ----------
-    kind
-        ``"natural frequency"``, ``"damping ratio"``, ``"missing mode"`` or ``"no resonance"``.
-    dynamics
-        The dynamics.
-    gain
-        Gain in log-likelihood over those that the record was read with.
-    u
-        Relative standard uncertainty of the frequency that is other [1].
-    u_share
-        Relative standard uncertainty of the share of a further mode [1].
-    probability
-        Probability of them [1].
-    """
-
-    kind: str
-    dynamics: Dynamics
-    gain: float
-    u: float = 0.0
-    u_share: float = 0.0
-    probability: float = 1.0
 
 
 def spoken_for(
@@ -227,7 +87,7 @@ def spoken_for(
         if plain is not None:
             evidence, clear = plain
     if clear is not None:
-        clear = _named(clear, evidence, dynamics, confirmed=confirmed)
+        clear = named(clear, evidence, dynamics, confirmed=confirmed)
     if clear is not None and steps and beside_steps is not None:
         # other dynamics may need the largest step alone, where the expected ones need many that mend them
         largest = [max(steps, key=lambda step: abs(step.height))]
@@ -237,7 +97,7 @@ def spoken_for(
         ]
         line = _apart(steps, dynamics) >= SETTINGS.many and clear.kind in MOVED
         if with_steps[0] > max(*with_steps[1:], evidence.of(clear.dynamics)) + SETTINGS.by_steps or (
-            line and _is_line(clear.dynamics.modes[0], evidence, width=SETTINGS.line_beside)
+            line and is_line(clear.dynamics.modes[0], evidence, width=SETTINGS.line_beside)
         ):
             clear = None
     elif clear is not None and beside_steps is not None and not _stands(clear, evidence, dynamics, beside_steps):
@@ -290,11 +150,11 @@ def _clearest(
         if evidence.of(start) - own < min(SETTINGS.decisive, best - SETTINGS.decisive):
             continue
         other = start if kind == "no resonance" else _best_near(evidence, kind, dynamics, start)
-        found.append(Spoken(kind, other, evidence.of(other) - own - _price(kind, evidence)))
+        found.append(Spoken(kind, other, evidence.of(other) - own - price_of(kind, evidence)))
     spoken = max(found, key=lambda one: one.gain)
     if spoken.kind != "no resonance":
         other = _best_near(evidence, spoken.kind, dynamics, spoken.dynamics, scale=SETTINGS.closer)
-        spoken = Spoken(spoken.kind, other, evidence.of(other) - own - _price(spoken.kind, evidence))
+        spoken = Spoken(spoken.kind, other, evidence.of(other) - own - price_of(spoken.kind, evidence))
     if spoken.gain >= SETTINGS.decisive:
         return spoken
     return _open_far(spoken) if spoken.kind == "missing mode" and spoken.gain >= SETTINGS.open_far else None
@@ -340,7 +200,7 @@ def _beside(
         gain = min(gain, gain_beside(evidence, dynamics, other, beside_steps))
     if gain < SETTINGS.open_from:
         return None
-    spoken = _named(Spoken("natural frequency", other, gain), evidence, dynamics, confirmed=confirmed)
+    spoken = named(Spoken("natural frequency", other, gain), evidence, dynamics, confirmed=confirmed)
     if spoken is None or gain >= SETTINGS.decisive_near:
         return spoken
     off = float(np.log(other.damping_ratio / dynamics.damping_ratio) / np.log(SETTINGS.usual))
@@ -361,12 +221,6 @@ def left_open(spoken: Spoken, gain: float) -> Spoken | None:
     return spoken._replace(probability=float(expit(SETTINGS.open_steepness * (gain - SETTINGS.open_half))))
 
 
-def _price(kind: str, evidence: Evidence) -> float:
-    """Schwarz's price of the numbers that dynamics have more than those known."""
-    numbers = {"no resonance": 0, "natural frequency": 2, "damping ratio": 1, "missing mode": 3}[kind]
-    return 0.5 * numbers * float(np.log(evidence.values.size / 2))
-
-
 def _apart(steps: Sequence[Step], dynamics: Dynamics) -> int:
     """Number of steps of which those less than a period of the balance apart count as one: they mend each other."""
     ends = -np.inf
@@ -383,101 +237,8 @@ def _stands(clear: Spoken, evidence: Evidence, dynamics: Dynamics, beside_steps:
         return gain_after_a_blow(evidence, dynamics, clear.dynamics, beside_steps) < SETTINGS.decisive
     if clear.kind not in MOVED or clear.probability < 1:
         return True
-    gain = gain_beside(evidence, dynamics, clear.dynamics, beside_steps) - _price(clear.kind, evidence)
+    gain = gain_beside(evidence, dynamics, clear.dynamics, beside_steps) - price_of(clear.kind, evidence)
     return gain >= SETTINGS.decisive
-
-
-def _named(spoken: Spoken, evidence: Evidence, dynamics: Dynamics, *, confirmed: float) -> Spoken | None:
-    """The same with the kind by what has come out, and with its uncertainty; None for what a load makes as well."""
-    kind, other = spoken.kind, spoken.dynamics
-    if kind == "no resonance":
-        likely = _over_narrow_loads(kind, evidence, dynamics, other)
-        return spoken._replace(probability=likely * spoken.probability) if likely > 0 else None
-    if kind == "missing mode":
-        mode = other.further_modes[-1]
-        if _is_line(mode, evidence, width=SETTINGS.line_beside) and not _beside_its_line(spoken, evidence, dynamics):
-            return None
-
-        def at(factor: float, share: float = 1.0) -> Dynamics:
-            moved = Mode(mode.natural_frequency * factor, mode.damping_ratio, mode.share * share)
-            return dynamics.with_modes(*dynamics.further_modes, moved)
-
-        spoken = spoken._replace(u_share=_spread(evidence, lambda by: at(1.0, by), shift=SETTINGS.share_shift))
-        width = mode.damping_ratio
-    else:
-        moved = abs(other.natural_frequency / dynamics.natural_frequency - 1)
-        width = max(dynamics.damping_ratio, other.damping_ratio)
-        kind = "natural frequency" if moved > 0.5 * width else "damping ratio"
-        if kind == "natural frequency":  # another damping ratio as well only where it is worth what that costs
-            same = dynamics.retuned(frequency=other.natural_frequency / dynamics.natural_frequency, damping=1.0)
-            if evidence.of(other) - evidence.of(same) < _price("damping ratio", evidence):
-                other = same
-                spoken = spoken._replace(dynamics=same)
-        if _is_line(other.modes[0], evidence, width=SETTINGS.line):
-            return None
-        like_a_load = other.damping_ratio > SETTINGS.broad and confirmed > -SETTINGS.decisive
-        if moved > SETTINGS.far and (like_a_load or confirmed > SETTINGS.confirmed):
-            return None
-
-        def at(factor: float, share: float = 1.0) -> Dynamics:
-            return other.retuned(frequency=factor, damping=1.0)
-
-    likely = _over_narrow_loads(kind, evidence, dynamics, other)
-    if likely == 0:
-        return None
-    probability = likely * spoken.probability
-    return spoken._replace(kind=kind, u=_spread(evidence, at, shift=0.5 * width), probability=probability)
-
-
-def _over_narrow_loads(kind: str, evidence: Evidence, dynamics: Dynamics, other: Dynamics) -> float:
-    """Probability of other dynamics where the load may have narrow bands, as the tone of a vortex that wanders [1].
-
-    A resonance shows beside its peak as well, on both sides, and where the expected one is missing; such a load shows
-    in its band alone, to which it adds.
-    """
-    mode = other.modes[-1] if kind == "missing mode" else other.modes[0]
-    centre = mode.natural_frequency
-    bands = [(centre * (1 - half), centre * (1 + half)) for half in SETTINGS.band]
-    gain = min(
-        evidence.over_narrow_loads(other, dynamics, band) for band in (bands if kind != "no resonance" else [None])
-    )
-    alike = abs(other.damping_ratio / dynamics.damping_ratio - 1) < SAME_DAMPING if dynamics.damping_ratio else False
-    decisive = SETTINGS.band_decisive
-    if kind == "missing mode":
-        decisive = SETTINGS.band_mode
-    elif kind == "natural frequency" and alike and not _is_line(mode, evidence, width=SETTINGS.line_beside):
-        decisive = SETTINGS.band_alike
-    if gain >= decisive:
-        return 1.0
-    if kind == "damping ratio" and mode.damping_ratio < dynamics.damping_ratio:
-        resolved = not _is_line(mode, evidence, width=SETTINGS.line_damped)
-        return float(resolved and gain > SETTINGS.band_damped)
-    if gain < SETTINGS.band_from:
-        return 0.0
-    return float(expit(SETTINGS.open_steepness * (gain - SETTINGS.band_half)))
-
-
-def _spread(evidence: Evidence, at: Callable[[float], Dynamics], *, shift: float) -> float:
-    """Relative standard uncertainty of a number, by how fast the evidence falls when it is off by a factor."""
-    bend = 2 * evidence.of(at(1.0)) - evidence.of(at(1 + shift)) - evidence.of(at(1 - shift))
-    return shift / float(np.sqrt(max(bend, 0.25)))
-
-
-def _is_line(mode: Mode, evidence: Evidence, *, width: float) -> bool:
-    """Whether a mode is narrower than so many ordinates: a tone of the load, whose size changes a little."""
-    return 2 * mode.damping_ratio * mode.natural_frequency * evidence.values.size * evidence.interval < width
-
-
-def _beside_its_line(spoken: Spoken, evidence: Evidence, dynamics: Dynamics) -> bool:
-    """Whether a further mode as narrow as a tone is believed by what a tone does not show: the skirts of a resonance.
-
-    Chance may leave a mode of a short record no wider than a tone, but a tone has no antiresonance beside it.
-    """
-    centre = spoken.dynamics.further_modes[-1].natural_frequency
-    reach = SETTINGS.line_reach / (evidence.values.size * evidence.interval)
-    line = centre - reach, centre + reach
-    gain = evidence.beside(spoken.dynamics, line) - evidence.beside(dynamics, line)
-    return gain - _price(spoken.kind, evidence) >= SETTINGS.decisive
 
 
 def _others(dynamics: Dynamics, peaks: list[float], *, confirmed: float) -> Iterator[tuple[str, Dynamics]]:
