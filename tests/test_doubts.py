@@ -452,6 +452,20 @@ def test_a_steady_line_in_a_narrow_band_tells_whether_it_is_where_the_mains_are(
     assert all(f"{frequency:.3g}" in doubt.text for doubt, _ in found)
 
 
+@pytest.mark.parametrize(("width", "doubted"), [(0.8, True), (8.0, False)])
+def test_a_band_that_is_wider_than_hum_drifts_is_none(width, doubted, rng):
+    """Of ten seconds the edges are told to a tenth of a hertz: hum at 540 Hz is no band of 8 Hz, which noise may be.
+
+    Above 500 Hz two of five frequencies are within 1 % of a multiple of 50 or 60 Hz.
+    """
+    dynamics = Dynamics("AF", 1.0, (2 * np.pi * FREQUENCY) ** 2, 2 * 0.01 * 2 * np.pi * FREQUENCY)
+    reading = Observation(rng.normal(size=20_000), 1 / 2000, dynamics)
+    middle = 541.0
+    spectrum = Spectrum(np.array([middle - width, middle + width, 1000.0]), np.array([0.0, 1e2, 0.0]))
+    learned = SpectralPrior(spectrum, ShapingFilter.silent(), 1.0)
+    assert len(hum_doubts(reading, learned, reading.values, named=(), large=[], unit="N")) == doubted
+
+
 def test_few_readings_have_no_peaks():
     dynamics = Dynamics("AF", 1.0, (2 * np.pi * FREQUENCY) ** 2, 1.0)
     assert Evidence(np.cos(np.arange(24.0)), 1 / 1600, 1e-6).peaks(dynamics) == []

@@ -25,10 +25,14 @@ from aerobalance.recording.doubts import Assumption, Doubt
 from aerobalance.recording.errors import argument, warn_quality
 
 NARROW: Final = 0.05
-"""Width of a band over its frequency up to which it may be hum that drifts."""
+"""Width of a band over its frequency up to which it may be hum that drifts, told badly by a short record."""
+
+DRIFTS: Final = 0.02
+"""Width of the band in which hum drifts, over its frequency, at most."""
 
 LOBES: Final = 4.0
-"""Ordinates over which a Hann window spreads a line: at a named frequency a band may be wider by so much."""
+"""Ordinates over which a Hann window spreads a line: by so much a band may be wider; more than `NARROW` only where its
+frequency is named."""
 
 NEAR: Final = 0.01
 """Relative distance from a multiple of the mains' frequency up to which it may be."""
@@ -87,10 +91,10 @@ def hum_doubts(
         )
     if not large:
         places = np.array(named) if named else np.outer(MAINS, np.arange(1, MOST_HARMONICS + 1)).ravel()
-        resolved = LOBES / (count * interval) if named else 0.0
+        spread = LOBES / (count * interval)
         found += [
             (f"a narrow band at {middle:.4g} Hz", middle, rms)
-            for low, high, rms in _narrow_bands(learned, interval, resolved=resolved)
+            for low, high, rms in _narrow_bands(learned, interval, spread=spread, named=bool(named))
             for middle in _places_of_hum(left, interval, (low, high), places, named=bool(named))
             if not any(abs(middle / line.frequency - 1) < NARROW for line in of_load)
         ]
@@ -277,8 +281,13 @@ def _error(component: str, frequency: float, rms: float, *, count: int, interval
     return Noise(f"hum at {frequency:.4g} Hz", component, np.full(count, rms), density)
 
 
-def _narrow_bands(learned: SpectralPrior, interval: float, *, resolved: float) -> Iterator[tuple[float, float, float]]:
-    """Edges [Hz] and rms [N] of narrow bands of the force, which a line widens to what is resolved [Hz]."""
+def _narrow_bands(
+    learned: SpectralPrior, interval: float, *, spread: float, named: bool
+) -> Iterator[tuple[float, float, float]]:
+    """Edges [Hz] and rms [N] of bands of the force as narrow as hum, which the window spreads by a width [Hz].
+
+    `named` is whether the frequencies of hum are.
+    """
     spectrum = learned.spectrum
     if spectrum.roll_off:
         return
@@ -286,7 +295,9 @@ def _narrow_bands(learned: SpectralPrior, interval: float, *, resolved: float) -
     for place, level in enumerate(spectrum.levels):
         low, high = float(edges[place]), min(float(edges[place + 1]), 0.5 / interval)
         beside = float(max(levels[place], levels[place + 2]))
-        if level > STANDS_OUT * beside and high - low <= NARROW * (low + high) / 2 + resolved:
+        middle = (low + high) / 2
+        most = NARROW * middle + spread if named else min(NARROW * middle, DRIFTS * middle + spread)
+        if level > STANDS_OUT * beside and high - low <= most:
             yield low, high, float(np.sqrt(2 * (level - beside) * (high - low)))
 
 
