@@ -20,6 +20,8 @@ from aerobalance.estimation.force import Force, estimate_force
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
+from faults.cases import all_cases
+from faults.trials import recording_of
 from helpers.accuracy import RIG, SOFT, T128, rms_of, smooth_run
 
 RATE, SECONDS = 1600.0, 3.5
@@ -187,3 +189,33 @@ def test_looking_at_a_record_that_is_no_release(record, rng) -> None:
         ratio = spent(lambda force=force: checked(force[0])) / whole
         record(f"1 over time of holding it against its model over that of the force, {name}", 1 / ratio, 1.0)
         assert ratio < 3
+
+
+def test_share_of_the_checks(record, monkeypatch, seed) -> None:
+    """What holds sound records against their dynamics takes a quarter of the whole, over all kinds of them."""
+    spent_on: dict[str, float] = {}
+
+    def timed(force: Force) -> Force:
+        begin = time.process_time()
+        found = checked(force)
+        spent_on["checks"] = spent_on.get("checks", 0.0) + time.process_time() - begin
+        return found
+
+    monkeypatch.setattr("aerobalance.estimation.force.checked", timed)
+    for name, chosen in {"one component": False, "six components": True}.items():
+        spent_on.clear()
+        for case in all_cases():
+            if case.group == "sound" and case.name.startswith("six") is chosen:
+                run = recording_of(case.record(seed))
+                begin = time.process_time()
+                with warnings.catch_warnings():
+                    warnings.simplefilter("ignore", DataQualityWarning)
+                    estimate_force(run, case.known(seed), **case.settings)
+                spent_on["all"] = spent_on.get("all", 0.0) + time.process_time() - begin
+        share = spent_on["checks"] / spent_on["all"]
+        record(
+            f"a quarter over the share of the checks in the time of a force, all kinds of sound records, {name}",
+            0.25 / share,
+            1.0,
+        )
+        assert share < 0.5
