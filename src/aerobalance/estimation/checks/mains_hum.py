@@ -92,10 +92,11 @@ def hum_doubts(
     if not large:
         places = np.array(named) if named else np.outer(MAINS, np.arange(1, MOST_HARMONICS + 1)).ravel()
         spread = LOBES / (count * interval)
+        shown = np.where(reading.present, left, np.nan)  # zeros in a gap would spread a line
         found += [
             (f"a narrow band at {middle:.4g} Hz", middle, rms)
             for low, high, rms in _narrow_bands(learned, interval, spread=spread, named=bool(named))
-            for middle in _places_of_hum(left, interval, (low, high), places, named=bool(named))
+            for middle in _places_of_hum(shown, interval, (low, high), places, named=bool(named))
             if not any(abs(middle / line.frequency - 1) < NARROW for line in of_load)
         ]
     where = "hum was named" if named else "the mains are"
@@ -309,7 +310,7 @@ def _places_of_hum(
     Parameters
     ----------
     left
-        Readings without the steps and the lines that were found, shape (n,) [N].
+        Readings without the steps and the lines that were found, NaN where missing, shape (n,) [N].
     interval
         Time between samples [s].
     band
