@@ -97,7 +97,7 @@ def other_shapes(ringing: RingingSpectra, dynamics: CoupledDynamics, *, far: boo
     """
     own, count = ringing.own, len(dynamics.components)
     volume = ringing.determinant(own)
-    known = ringing.evidence(own, determinant=volume)
+    apart = ringing.evidence_apart(own, determinant=volume)
     exchanged: list[tuple[str, tuple[int, ...], Rows]] = []
     for number in (1, 2):
         for places in combinations(range(count), number):
@@ -115,26 +115,24 @@ def other_shapes(ringing: RingingSpectra, dynamics: CoupledDynamics, *, far: boo
     gains = []
     price = [SETTINGS.second * (kind == "swapped sign" and len(places) == 2) for kind, places, _ in exchanged]
     for _, _, rows in exchanged:
-        found = ringing.evidence(rows, determinant=volume, told=ringing.shown & rings)
-        if float(np.sum((found - known)[there])) < -SETTINGS.decisive:
+        found = ringing.evidence_apart(rows, determinant=volume, told=ringing.shown & rings)
+        if float(np.sum((found - apart)[there])) < -SETTINGS.decisive:
             gains.append(-np.inf)
             continue
-        found += ringing.evidence(rows, determinant=volume, told=ringing.shown & ~rings)
-        gains.append(-np.inf if contradicted(found, known) else gain_of(found, known))
-    if max(gains) > SETTINGS.decisive:  # or what they explain is noise that is not white
-        known = ringing.evidence_with_color(own, determinant=volume)
+        found += ringing.evidence_apart(rows, determinant=volume, told=ringing.shown & ~rings)
+        gains.append(-np.inf if contradicted(found, apart) else gain_of(found, apart))
+    known = ringing.evidence(own, determinant=volume)
+    if max(gains) > SETTINGS.decisive:  # or what they explain is noise that is not white, or forces of one load
+        known = np.maximum(known, ringing.evidence_with_color(own, determinant=volume))
         colored = [ringing.evidence_with_color(rows, determinant=volume) for _, _, rows in exchanged]
         gains = [-np.inf if contradicted(one, known) else gain_of(one, known) for one in colored]
+        likeliest = int(np.argmax(np.subtract(gains, price)))
+        found = ringing.evidence(exchanged[likeliest][2], determinant=volume)
+        gains[likeliest] = gain_of(np.maximum(found, colored[likeliest]), known)
     gains = list(np.subtract(gains, price))
     best = int(np.argmax(gains))
     gain, (kind, places, rows) = gains[best], exchanged[best]
     moved = moved_together(ringing, dynamics, known, least=max(gain, MOVED.moved), far=far)
-    if (gain > SETTINGS.decisive or moved is not None or far) and ringing.together:
-        # what is likelier for forces that have nothing to do with each other may not be so for those of one load, nor
-        # is what is less likely
-        known = ringing.evidence_together(own, determinant=volume)
-        gain = gain_of(ringing.evidence_together(rows), known) - price[best]
-        moved = moved_together(ringing, dynamics, known, least=max(gain, MOVED.moved), far=far, together=True)
     if gain > SETTINGS.decisive and (moved is None or moved.gain < gain):
         return OtherShapes(kind, places, rows, gain)
     return moved
@@ -271,7 +269,9 @@ def _by_shapes(
     errors[:first] = 0.0
     name_of_error = f"{DOUBTED}{other.kind}" if other.probability == 1 else LEFT_OPEN
     size = np.sqrt(np.mean(errors**2, axis=0))
-    relative = size / np.array([max(float(np.sqrt(np.mean(parts[name].values ** 2))), 1e-300) for name in names])
+    # of a component in which no force was found its uncertainty is what there is
+    known = [np.mean(parts[name].values ** 2) + np.mean(parts[name].uncertainty ** 2) for name in names]
+    relative = size / np.sqrt(np.maximum(known, 1e-300))
     told = other.places or (int(np.argmax(relative)),)
     found = {}
     for place, name in enumerate(names):

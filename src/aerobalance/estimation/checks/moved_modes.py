@@ -261,7 +261,6 @@ def moved_together(
     *,
     least: float,
     far: bool = False,
-    together: bool = False,
 ) -> OtherShapes | None:
     """Return the moved modes that a record speaks for, where that brings more than other explanations.
 
@@ -279,13 +278,11 @@ def moved_together(
         Gain that they must bring.
     far
         Whether they are looked for far from those of the dynamics.
-    together
-        Whether the forces are taken for ones that a load acts in together.
     """
     if dynamics.internal or len(dynamics.modes) != len(dynamics.components):
         return None
     own, everything = Moved.none(dynamics), slice(None)
-    evidence_of = partial(_evidence, ringing, together=together)
+    evidence_of = partial(_evidence, ringing)
     sizes = (*SETTINGS.shifts, *(SETTINGS.far_shifts if far else ()))
     shifts = [(sign * size, 0.0) for size in sizes for sign in (-1, 1)]
     shifts += [(0.0, float(np.log(factor))) for factor in SETTINGS.dampings]
@@ -311,10 +308,10 @@ def moved_together(
     return OtherShapes(kind, (), found.rows, gain, found)
 
 
-def _evidence(ringing: RingingSpectra, moved: Moved, *, together: bool = False) -> Array:
+def _evidence(ringing: RingingSpectra, moved: Moved) -> Array:
     """Evidence of moved modes; none where a balance with them cannot be."""
     try:
-        return ringing.evidence_together(moved.rows) if together else ringing.evidence(moved.rows)
+        return ringing.evidence(moved.rows)
     except (ValueError, np.linalg.LinAlgError):
         return np.full(ringing.bands.size, -np.inf)
 
@@ -356,8 +353,7 @@ def moved_alone(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherShap
         about = ringing.near(mode.natural_frequency, within=SETTINGS.alone_about)
         if about is None:
             continue
-        together = about.together
-        evidence = partial(_evidence, about, together=together)
+        evidence = partial(_evidence, about)
         known = evidence(own)
 
         def gain_of_one(moved: Moved, evidence: Evidence = evidence, known: Array = known) -> float:
@@ -375,7 +371,7 @@ def moved_alone(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherShap
         clear = resolved and float(np.mean((about.shown & about.clear)[between])) >= SETTINGS.alone_clear
         if not clear or abs(damping) >= SETTINGS.as_damped or gain_of_one(moved) < SETTINGS.alone_least:
             continue
-        gain = gain_of_one(moved) if together else _gain_over_loads(about, moved, mode.natural_frequency)
+        gain = gain_of_one(moved) if about.together else _gain_over_loads(about, moved, mode.natural_frequency)
         if gain >= SETTINGS.alone_open_from:
             likely = 1.0 if gain >= SETTINGS.alone_decisive else float(expit(gain - SETTINGS.alone_half))
             found.append(OtherShapes("natural frequency", (), moved.rows, gain, moved, likely))
@@ -388,7 +384,7 @@ def _gain_over_loads(about: RingingSpectra, moved: Moved, frequency: float) -> f
     That are a narrow band of one load, noise with a color, and one load in several forces, as a gust or a release.
     """
     loaded = _with_a_narrow_load(about, frequency)
-    gain = float(np.sum(about.evidence(moved.rows) - loaded.evidence(about.own)))
+    gain = float(np.sum(about.evidence_apart(moved.rows) - loaded.evidence_apart(about.own)))
     if gain < SETTINGS.alone_open_from:
         return gain
     colored = about.evidence_with_color(moved.rows) - loaded.evidence_with_color(about.own)
@@ -410,11 +406,11 @@ def _with_a_narrow_load(about: RingingSpectra, frequency: float) -> RingingSpect
         return replace(about, gain=gains)
 
     def lost(point: Array, component: int, order: int) -> float:
-        return -float(np.sum(loaded(point, component, order).evidence(about.own, determinant=volume)))
+        return -float(np.sum(loaded(point, component, order).evidence_apart(about.own, determinant=volume)))
 
     tried = [np.array([at, *np.log(load)]) for at in SETTINGS.load_places for load in SETTINGS.loads]
     simplex = np.vstack([np.zeros(3), np.diag([SETTINGS.load_fine, 1.0, 1.0])])
-    least, best = -float(np.sum(about.evidence(about.own, determinant=volume))), about
+    least, best = -float(np.sum(about.evidence_apart(about.own, determinant=volume))), about
     for component, order in product(range(len(about.noise)), SETTINGS.load_orders):
         losses = [lost(point, component, order) for point in tried]
         start = tried[int(np.argmin(losses))]

@@ -15,12 +15,14 @@ References
 ----------
 .. [Dempster1977] A. P. Dempster, N. M. Laird, D. B. Rubin, "Maximum likelihood from incomplete data via the EM
    algorithm", J. R. Stat. Soc. B 39 (1977) 1.
+.. [Schwarz1978] G. Schwarz, "Estimating the dimension of a model", Ann. Stat. 6 (1978) 461.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -158,7 +160,7 @@ def most_samples(record: CoupledRecord) -> int:
     return SETTINGS.samples // record.recording.decimated
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)  # without slots: what is worked out once is kept
 class RingingSpectra:
     """Spectra of all that rows of polynomials can make of a record.
 
@@ -292,10 +294,12 @@ class RingingSpectra:
         found = np.matmul(rows.forces.transpose(0, 2, 1).reshape(count, 1, -1), parts)
         return np.asarray(found.reshape(count, 2 * size).view(np.complex128))
 
-    def evidence(
+    def evidence_apart(
         self, rows: Rows, *, determinant: Array | None = None, told: NDArray[np.bool_] | None = None
     ) -> Array:
-        """Logarithm of the likelihood in every band, the levels of the forces there at their best, shape (bands,).
+        """Logarithm of the likelihood in every band of forces that have nothing to do with each other, shape (bands,).
+
+        Their levels there are at their best.
 
         Parameters
         ----------
@@ -330,7 +334,7 @@ class RingingSpectra:
         channels = np.linalg.solve(forces.rows, forces.lines.T[..., None])[..., 0].T
         likeliest_levels_and_noise(forces, np.abs(channels) ** 2, self.bands, COLORED, found)
         colored = self._less_volume(found, rows, self.shown, volume) - AKAIKE * self.noise.size
-        return np.maximum(self.evidence(rows, determinant=volume), colored)
+        return np.maximum(self.evidence_apart(rows, determinant=volume), colored)
 
     def evidence_together(self, rows: Rows, *, determinant: Array | None = None) -> Array:
         """Logarithm of the likelihood in every band where one load may act in several forces, shape (bands,).
@@ -370,7 +374,32 @@ class RingingSpectra:
         spent += 2 * float(np.sum(np.log(size))) + np.log(self.gain).sum(axis=0)
         return self._less_volume(-np.add.reduceat(spent * self.shown, self.bands), rows, self.shown, determinant)
 
+    def evidence(self, rows: Rows, *, determinant: Array | None = None) -> Array:
+        """Logarithm of the likelihood in every band of loads of any kind, shape (bands,).
+
+        It is that of forces that have nothing to do with each other, or where one load acts in several, that of their
+        covariance where more brings less than the price of its numbers.
+
+        Parameters
+        ----------
+        rows
+            The rows.
+        determinant
+            What `determinant` gives of them, where it is known.
+        """
+        volume = self.determinant(rows) if determinant is None else determinant
+        found = self.evidence_apart(rows, determinant=volume)
+        if not self.together:
+            return found
+        return np.maximum(found, self.evidence_together(rows, determinant=volume) - self._price_of_covariance)
+
     @property
+    def _price_of_covariance(self) -> Array:
+        """Price in log-likelihood of what a covariance has over levels, in every band [Schwarz1978]_, (bands,)."""
+        count, size = np.add.reduceat(self.shown, self.bands, dtype=int), len(self.noise)
+        return np.asarray(0.5 * size * (size - 1) * np.log(np.maximum(2 * count, 1)))
+
+    @cached_property
     def together(self) -> bool:
         """Whether one load acts in several forces: a covariance is likelier than levels of each, its price paid."""
         widths = np.diff(np.append(self.bands, self.frequency.size))
@@ -382,10 +411,10 @@ class RingingSpectra:
         alike = np.add.reduceat(lines[:, :, None] * lines[:, None, :].conj(), self.bands)
         enough = count > size
         gain = -np.linalg.slogdet(alike[enough])[1] @ count[enough] / HANN_BANDWIDTH
-        price = 0.5 * size * (size - 1) * float(np.sum(np.log(np.maximum(2 * count, 1))))
+        price = float(np.sum(self._price_of_covariance))
         if gain < price:
             return False
-        return float(np.sum(self.evidence_together(self.own) - self.evidence(self.own))) > price
+        return float(np.sum(self.evidence_together(self.own) - self.evidence_apart(self.own))) > price
 
     def _forces(self, rows: Rows, told: NDArray[np.bool_]) -> ForceLines:
         """What rows make of the record, of one order in memory also of a stretch: the loops are compiled for each."""
@@ -409,7 +438,7 @@ class RingingSpectra:
         rows
             The rows.
         """
-        return float(np.sum(self.evidence(rows, told=self.shown & self.clear)))
+        return float(np.sum(self.evidence_apart(rows, told=self.shown & self.clear)))
 
     def determinant(self, rows: Rows) -> Array:
         """Mean about every ordinate of the logarithm of the squared determinant of the rows, shape (m,)."""
