@@ -70,7 +70,7 @@ def looked_at(recording: Recording, dynamics: Dynamics) -> OtherDynamics:
         force = estimate_force(recording, dynamics)
     found = force.only
     record = force.record.component_record(dynamics.component)
-    return other_dynamics_in(record, noise=found.noise, steps=found.steps, hum=found.hum, learned=found.learned)
+    return other_dynamics_in(record, noise=found.noise, steps=found.steps, lines=found.hum, learned=found.learned)
 
 
 def shaken(

@@ -32,7 +32,9 @@ from aerobalance.estimation.checks.unmeasured_rotation import turning_by_angles
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.independent_record import SingleRecord
 from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.result import ComponentForce, with_doubt, with_errors
+from aerobalance.estimation.spectra.lines import Line
 from aerobalance.estimation.steps import Step, columns_of
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
@@ -64,15 +66,15 @@ def checked(force: Force) -> Force:
         The forces, which hold the record.
     """
 
-    def known(component: str) -> dict[str, Any]:
-        part = force[component]
-        return {"noise": part.noise, "steps": part.steps, "hum": (*part.hum, *part.tones)}
+    def known(one: ComponentRecord) -> dict[str, Any]:
+        part = force[one.dynamics.component]
+        return {"noise": part.noise, "steps": part.steps, "lines": (*part.hum, *_tones_read(part, one))}
 
-    def known_of_one(component: str) -> dict[str, Any]:
+    def known_of_one(one: ComponentRecord) -> dict[str, Any]:
         # what a ground channel leaves in the readings swings as well, and is no other damping
-        explained = any(doubt.kind.startswith(("ground", "attitude")) for doubt in force[component].doubts)
-        part = force[component]
-        return {**known(component), "learned": None if explained else part.learned, "bends": part.bends}
+        part = force[one.dynamics.component]
+        explained = any(doubt.kind.startswith(("ground", "attitude")) for doubt in part.doubts)
+        return {**known(one), "learned": None if explained else part.learned, "bends": part.bends}
 
     record, parts = force.record, dict(force.parts)
     if isinstance(record, CoupledRecord):
@@ -84,7 +86,7 @@ def checked(force: Force) -> Force:
         parts |= {name: _named_only(part) if sure else part for name, part in otherwise.items()}
         # what rings otherwise leaves peaks everywhere
         decoupled = {} if sure else record.component_records(filled)
-        peaks = list(chain(*side_by_side(lambda name: peaks_of(decoupled[name], **known(name)), decoupled)))
+        peaks = list(chain(*side_by_side(lambda name: peaks_of(decoupled[name], **known(decoupled[name])), decoupled)))
         turning = turning_by_angles(force.recording, record.dynamics, force)
         for doubt in [*peak_doubts(peaks, record.dynamics.modes), *turning]:
             part = parts[doubt.component]
@@ -97,7 +99,7 @@ def checked(force: Force) -> Force:
             kinds = {doubt.kind for doubt in force[name].doubts}
             if kinds & {"resolution", "too many steps"}:
                 continue  # what rounding makes of a load swings at multiples of it, and so does a square wave
-            shown = other_dynamics_in(one, **known_of_one(name))
+            shown = other_dynamics_in(one, **known_of_one(one))
             if "colored noise" in kinds:
                 shown = replace(shown, silent=False)  # noise does not ring
             found, interval = shown.doubts(own), one.interval
@@ -115,6 +117,21 @@ def checked(force: Force) -> Force:
             if bent is not None and not found and not colored and _stands(bent, one, force[name]):
                 parts[name] = _bent(parts[name], one, bent, error)
     return replace(force, parts={name: _without_vague(part) for name, part in parts.items()})
+
+
+def _tones_read(force: ComponentForce, record: ComponentRecord) -> tuple[Line, ...]:
+    """Steady tones of a force as lines of its readings."""
+    return tuple(tone.read_by(record.dynamics.response) for tone in force.tones)
+
+
+def _besides_motion(force: ComponentForce, record: ComponentRecord) -> tuple[Line, ...]:
+    """Lines of the readings without which they tell whether the motion is linear.
+
+    That are hum and tones that drift: all harmonics of a rotation drift alike, and so go with the powers of the motion
+    at as many frequencies as it passes.
+    """
+    drifting = tuple(tone for tone in _tones_read(force, record) if tone.drift)
+    return (*force.hum, *drifting)
 
 
 def _raised(force: ComponentForce, found: list[ModelDoubt], own: ModalModel, *, interval: float) -> ComponentForce:
@@ -157,7 +174,7 @@ def _not_linear(record: SingleRecord, force: ComponentForce) -> tuple[NotLinear,
     """
     if force.learned is None:
         return None
-    seen = unbroken(record, force.steps, force.hum)
+    seen = unbroken(record, force.steps, _besides_motion(force, record))
     if seen is None:
         return None
     reading, within = seen
@@ -185,7 +202,7 @@ def _stands(bent: NotLinear, record: SingleRecord, force: ComponentForce) -> boo
         return False
     if not bent.of_spring:
         return bool(force.steps)
-    seen = unbroken(record, force.steps, force.hum)
+    seen = unbroken(record, force.steps, _besides_motion(force, record))
     if seen is None:
         return False
     reading, within = seen

@@ -209,7 +209,7 @@ def other_dynamics_in(
     *,
     noise: float,
     steps: Sequence[Step] = (),
-    hum: Sequence[Line] = (),
+    lines: Sequence[Line] = (),
     learned: SpectralPrior | None = None,
     bends: Sequence[float] = (),
 ) -> OtherDynamics:
@@ -221,15 +221,15 @@ def other_dynamics_in(
         The component with its record and dynamics.
     noise
         Standard uncertainty of a reading of the load [N].
-    steps, hum
-        Sudden changes of the force, and lines of hum, that were found in the record.
+    steps, lines
+        Sudden changes of the force, and lines of its readings, that were found in the record.
     learned
         Prior of the force that was learned from it; None where none was.
     bends
         Instants of sudden changes of the force's slope [s]: what rings after each is of one course, and no noise.
     """
     dynamics = record.dynamics
-    seen = unbroken(record, steps, hum)
+    seen = unbroken(record, steps, lines)
     if seen is None:
         return OtherDynamics(dynamics.component)
     reading, within = seen
@@ -251,7 +251,7 @@ def other_dynamics_in(
     )
     spoken = ask(_without_tones(reading.values), steps=[*within, *slopes], beside_steps=beside_steps)
     if spoken is None or spoken.kind != "no resonance":
-        changed = _changed_along(record, ask, steps=steps, hum=hum, whole=spoken)
+        changed = _changed_along(record, ask, steps=steps, lines=lines, whole=spoken)
         if changed is not None:
             return changed
     if spoken is not None and spoken.probability == 1:
@@ -291,17 +291,17 @@ def _changed_along(
     ask: Callable[[Array], Spoken | None],
     *,
     steps: Sequence[Step],
-    hum: Sequence[Line],
+    lines: Sequence[Line],
     whole: Spoken | None,
 ) -> OtherDynamics | None:
     """Dynamics that a part of a record speaks for more clearly than the whole does; None where there is none.
 
-    `ask` gives what readings speak for, `whole` is what all of them do; `steps` and `hum` as of `other_dynamics_in`.
+    `ask` gives what readings speak for, `whole` is what all of them do; `steps` and `lines` as of `other_dynamics_in`.
     """
     stretch = longest_stretch(record)
     if not stretches_of(stretch.stop - stretch.start, record.interval, record.dynamics):
         return None
-    seen = unbroken(record, steps, hum, longest=record.load.size)
+    seen = unbroken(record, steps, lines, longest=record.load.size)
     if seen is None:
         return None
     reading, inside = seen
@@ -369,9 +369,9 @@ def _looks_alike(mode: Mode, learned: SpectralPrior, interval: float) -> bool:
     return bool(there > learned.noise**2 * interval and not peaked)
 
 
-def peaks_of(record: ComponentRecord, *, noise: float, steps: Sequence[Step], hum: Sequence[Line]) -> list[Peak]:
+def peaks_of(record: ComponentRecord, *, noise: float, steps: Sequence[Step], lines: Sequence[Line]) -> list[Peak]:
     """A narrow peak in the reading of a decoupled component, in which no mode of the dynamics shows."""
-    seen = unbroken(record, steps, hum)
+    seen = unbroken(record, steps, lines)
     if seen is None:
         return []
     reading, within = seen
@@ -381,18 +381,18 @@ def peaks_of(record: ComponentRecord, *, noise: float, steps: Sequence[Step], hu
 
 
 def unbroken(
-    record: ComponentRecord, steps: Sequence[Step], hum: Sequence[Line], *, longest: int = SETTINGS.longest
+    record: ComponentRecord, steps: Sequence[Step], lines: Sequence[Line], *, longest: int = SETTINGS.longest
 ) -> tuple[Observation, list[Step]] | None:
-    """The longest stretch of a reading without a gap, hum taken out, and the steps within.
+    """The longest stretch of a reading without a gap, lines taken out, and the steps within.
 
     None where it has fewer than `FEWEST_SAMPLES` or does not change; of one that is too long the begin.
     """
     reading = record.reading()
     response = reading.dynamics.response
-    lines = reading_of_lines(tuple(hum), count=reading.values.size, interval=reading.interval, response=response)
+    known = reading_of_lines(tuple(lines), count=reading.values.size, interval=reading.interval, response=response)
     whole = longest_stretch(record)
     first, last = whole.start, min(whole.stop, whole.start + longest)
-    values = (reading.values - lines)[first:last]
+    values = (reading.values - known)[first:last]
     if values.size < FEWEST_SAMPLES or float(np.ptp(values)) == 0:
         return None
     begin, end = first * reading.interval, last * reading.interval

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -44,6 +44,11 @@ class Line:
     def amplitude(self) -> float:
         """Its amplitude in the reading [N]."""
         return float(np.hypot(self.sine, self.cosine))
+
+    def read_by(self, response: Response) -> Line:
+        """The same line of a force as a balance of that response reads it."""
+        phasor = complex(self.cosine, -self.sine) * complex(response(np.array([self.frequency]))[0])
+        return replace(self, sine=-phasor.imag, cosine=phasor.real)
 
 
 def turned_time(drift: Sequence[float], *, count: int, interval: float) -> tuple[Array, Array]:
