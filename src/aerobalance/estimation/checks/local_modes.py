@@ -52,6 +52,9 @@ class LocalModeSettings:
         Changes of the logarithm of the load's spectrum at an edge from which the search for one starts.
     heaviest
         Damping ratio above which a peak is the load's and no mode.
+    most
+        Share of a steady load, of either sign, above which a peak is the load's and no mode: a narrow band that stands
+        alone asks for 1.5 and more, and no balance bends more in a further mode than in all.
     excited
         Level of the balance's own resonance over the noise from which its frequency and damping are looked at.
     lack_of_fit
@@ -71,6 +74,7 @@ class LocalModeSettings:
     share: float = 0.05
     drops: tuple[float, ...] = (-3.0, 3.0)
     heaviest: float = 0.1
+    most: float = 1.0
     excited: float = 20.0
     lack_of_fit: float = 5.0
     nearby: float = 1e-6
@@ -222,6 +226,7 @@ def missing_mode(seen: Averaged, dynamics: ModalModel) -> MissingMode | None:
         if (
             _likelihood(found) - max(plain.twice_log_likelihood, edge.twice_log_likelihood) > SETTINGS.evidence
             and mode.damping_ratio < SETTINGS.heaviest
+            and abs(mode.share) < SETTINGS.most
             and width > seen.resolution
             and inside
         ):
