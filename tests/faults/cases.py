@@ -16,6 +16,7 @@ from aerobalance.recording.components import COMPONENTS
 from faults.scene import (
     DAMPING,
     FREQUENCY,
+    LEAD,
     MASS,
     RATIO,
     STIFFNESS,
@@ -178,6 +179,34 @@ def rotor(rate: float) -> Maker:
     return shaped(force)
 
 
+def drifting_rotor(rate: float, drift: float) -> Maker:
+    """Harmonics of a rotor as of `rotor`, whose speed grows by so much along the record [1], of any phases."""
+
+    def made(clock: Clock, rng: np.random.Generator) -> Array:
+        phases = rng.uniform(0, 2 * np.pi, 8)
+
+        def force(time: Array) -> Array:
+            turns = rate * (time + drift * time**2 / (2 * clock.end))
+            numbers = np.arange(1, 9)
+            return np.sin(2 * np.pi * np.multiply.outer(turns, numbers) + phases) @ (100 / numbers)
+
+        return shaped(force)(clock, rng)
+
+    return made
+
+
+def wandering(first: float, last: float) -> Maker:
+    """A tone of 10 N as of a vortex; its frequency goes from one to another [Hz] and wanders, by 0.4 Hz, as its size."""
+
+    def made(clock: Clock, rng: np.random.Generator) -> Array:
+        place = (clock.time + LEAD) / (clock.end + LEAD)
+        frequency = first + (last - first) * np.minimum(place, 1) + 0.4 * band(1.0, 0, 2)(clock, rng)
+        tone = np.sin(2 * np.pi * np.cumsum(frequency) * clock.interval) * (1 + 0.2 * band(1.0, 0, 1.5)(clock, rng))
+        return shaped(lambda _: 10 * tone)(clock, rng)
+
+    return made
+
+
 def sound() -> list[Case]:
     """Return records with nothing wrong."""
     kinds: dict[str, Maker] = {
@@ -197,6 +226,10 @@ def sound() -> list[Case]:
         "rotor of 7.3 Hz": rotor(7.3),
         "rotor of 23 Hz": rotor(23.0),
         "rotor of 23 Hz and 0-60 Hz, 60 N": together(rotor(23.0), band(60.0, 0, 60)),
+        "rotor of 13.7 Hz that drifts by 0.03 %": drifting_rotor(13.7, 3.3e-4),
+        "rotor of 23 Hz that drifts by 1 %": drifting_rotor(23.0, 0.01),
+        "tone that wanders from 60 to 63 Hz": wandering(60.0, 63.0),
+        "tone that wanders from 69.7 to 71 Hz": wandering(69.7, 71.0),
         "triangle of 4 Hz, 300 N": shaped(lambda t: 300 * (2 / np.pi) * np.arcsin(np.sin(8 * np.pi * t))),
         "trapezoid of 3000 N": shaped(lambda t: 3000 * np.interp(t, [0.3, 0.7, 1.5, 2.1], [0, 1, 1, 0])),
     }
@@ -204,6 +237,7 @@ def sound() -> list[Case]:
     # long ones also of loads with edges, lines and steps: the local fit of a further mode is of these alone
     long = ("0-100 Hz, 200 N", "soft 30 Hz, 100 N", "step", "narrow at 40 Hz")
     long += ("0-60 Hz, 60 N", "narrow at 66 Hz", "sine 17 Hz", "two steps")
+    long += tuple(name for name in kinds if "drifts" in name or "wanders" in name)
     found += [Case(f"{name}, 10 s", "sound", Scene(kinds[name], LONG)) for name in long]
     for name in ("0-100 Hz, 200 N", "step", "soft 30 Hz, 100 N"):
         force = kinds[name]
@@ -233,6 +267,10 @@ SIXES: dict[str, SixScene] = {
     "soft 30 Hz": SixScene([soft(0.1, 30.0)] * 6),
     "narrow at 165 Hz": SixScene([together(band(0.02, 160, 172), band(0.05, 0, 60))] * 6),
     "sine 173 Hz": SixScene([together(shaped(lambda t: 0.05 * np.sin(2 * np.pi * 173.3 * t)), band(0.05, 0, 60))] * 6),
+    "rotor of 23 Hz that drifts by 1 %, 2 s": SixScene(
+        [level(drifting_rotor(23.0, 0.01), lambda clock, time: np.full(time.size, 1e-3))] * 6,
+        clock=replace(SIX, samples=16000),
+    ),
     "AF alone": SixScene([*[band(1e-9, 0, 100)] * 5, band(0.1, 0, HIGHEST)]),
     "a release": SixScene([band(1e-9, 0, 100)] * 6, common=step(0.5)),
     "a release in turbulence": SixScene([soft(0.01, 30.0)] * 6, common=step(0.5)),
