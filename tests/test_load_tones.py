@@ -101,7 +101,7 @@ def test_harmonics_of_a_rotor_that_drifts_are_found_to_what_noise_leaves(fundame
 def test_what_a_rotor_makes_the_balance_read_is_taken_out_before_other_dynamics_are_asked(fundamental, drift, rng):
     """What was left of harmonics that drift was doubted in 9 of 50 records, as a further mode or a bent spring."""
     count = round(5.0 * RATE)
-    force, load = drifting_rotor(fundamental, drift, 5.0, rng)
+    _, load = drifting_rotor(fundamental, drift, 5.0, rng)
     noisy = Channel("AF", load + rng.normal(0, NOISE, count), "N")
     found = ab.estimate_force(ab.Recording.from_columns(np.arange(count) / RATE, {"AF": noisy}), T128)
     assert found.verdict is Verdict.FIT, found.doubts
