@@ -196,7 +196,7 @@ def drifting_rotor(rate: float, drift: float) -> Maker:
 
 
 def wandering(first: float, last: float) -> Maker:
-    """A tone of 10 N of a vortex: its frequency goes from one to another [Hz] and wanders by 0.4 Hz as its size does."""
+    """A tone of 10 N of a vortex: its frequency goes from one to another [Hz]; it and the size wander."""
 
     def made(clock: Clock, rng: np.random.Generator) -> Array:
         place = (clock.time + LEAD) / (clock.end + LEAD)

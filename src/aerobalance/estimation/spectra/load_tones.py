@@ -12,26 +12,21 @@ strongest of them does; the readings are looked at in that time.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from itertools import zip_longest
 from math import log, log1p
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import rfft
 from scipy.special import expit
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.spectra.line_noise import MAINS
+from aerobalance.estimation.spectra.line_search import TURNS, LineSearch
 from aerobalance.estimation.spectra.lines import turned_time
-from aerobalance.estimation.spectra.steady_tones import BAND, LEFT, WIDTH, nearest_sine
+from aerobalance.estimation.spectra.rotor_drift import drift_of
+from aerobalance.estimation.spectra.steady_tones import WIDTH
 from aerobalance.recording.channel import Array
-from aerobalance.recording.fourier import hann
-
-EVIDENCE: Final = 60.0
-"""Least evidence of a tone that is looked for at any frequency [1]: noise alone exceeds it at an ordinate with the
-probability exp(-60 / 3) = 2e-9."""
 
 EVIDENCE_OF_HARMONIC: Final = (12.0, 20.0)
 """The same of a harmonic, whose frequency is known, next to one that is seen and beyond one that is not: exp(-12 / 3)
@@ -83,31 +78,8 @@ FAINT: Final = 0.1
 NO_STRONGER: Final = 2.0
 """Force at a harmonic over the largest of those below it, at most."""
 
-TURNS: Final = 3
-"""Times that all frequencies are found again beside the other tones."""
-
-DRIFTING: Final = 300.0
-"""Power of a line over that of its surroundings from which on its phase tells how a rotation drifts: to 0.1 rad at any
-instant, of which a polynomial leaves a third."""
-
-REACHES: Final = (4, 8, 16, 31)
-"""Ordinates either side over which a line that drifts may be spread: as few as show it, as others are beside it."""
-
 SEVERAL: Final = 2
 """Tones from which on they are harmonics of a rotation, which all drift alike."""
-
-DEGREES: Final = (1, 2, 3, 4, 5, 6)
-"""Degrees of the polynomial that its phase may be; the first is another frequency."""
-
-
-BLOCK: Final = 32
-"""Ordinates over which the level is looked at first."""
-
-BESIDE: Final = (3, 27)
-"""From how many ordinates off a tone to how many its surroundings are looked at, the last not included."""
-
-BY_CHANCE: Final = 3.0
-"""Power that is left about a tone over that of its surroundings, up to which nothing is left."""
 
 
 class LoadTones(NamedTuple):
@@ -147,7 +119,7 @@ def load_tones(
         Whether they are looked for as those of a rotation whose speed drifts as well.
     """
     steady, left = _tones_in(values, interval, dynamics, hum=hum)
-    more = _drift_of(left) if may_drift else ()
+    more = drift_of(left) if may_drift else ()
     if not more:
         return steady
     from scipy.interpolate import CubicSpline  # noqa: PLC0415 - takes 30 ms, and few records need it
@@ -159,7 +131,7 @@ def load_tones(
         drift = tuple(one + other for one, other in zip_longest(drift, more, fillvalue=0.0))
         turned, _rate = turned_time(drift, count=values.size, interval=1.0)
         drifting, beside = _tones_in(readings(np.interp(left.time, turned, left.time)), interval, dynamics, hum=hum)
-        more = _drift_of(beside)
+        more = drift_of(beside)
         if not more:
             break
     # of one line alone the spectrum of the force shows all; a rotation has several
@@ -170,7 +142,7 @@ def load_tones(
 
 def _tones_in(
     values: Array, interval: float, dynamics: ModalModel, *, hum: Sequence[float]
-) -> tuple[LoadTones, _Left]:
+) -> tuple[LoadTones, LineSearch]:
     """The tones that are steady in some readings, shape (n,), and what they leave; the rest as of `load_tones`."""
     count, ordinate = values.size, 1 / (values.size * interval)
     most, highest = min(MOST, MOST_NUMBERS // count), HIGHEST / interval
@@ -188,7 +160,7 @@ def _tones_in(
         return np.asarray(allowed)
 
     every = np.asarray(np.arange(count // 2 + 1) * ordinate, dtype=np.float64)
-    left = _Left.of(values - values.mean(), may_be(every), np.abs(dynamics.response(every)) ** 2)
+    left = LineSearch.of(values - values.mean(), may_be(every), np.abs(dynamics.response(every)) ** 2)
     while len(left.tones) <= most and left.take_next():
         pass
     if not left.tones or len(left.tones) > most:
@@ -218,59 +190,6 @@ def _tones_in(
     harmonics = harmonics[may_be(harmonics, of_mains=known.size > 1)]
     series = _series(harmonics, shown, apart=apart * fundamental, most=NO_STRONGER * float(strength.max()))
     return (series if len(series.frequencies) <= most else LoadTones()), left
-
-
-def _drift_of(left: _Left) -> tuple[float, ...]:
-    """How the strongest line drifts (`turned_time`); none where it is steady, or is no line that drifts.
-
-    Turned back to its middle, its readings are a slow series whose phase is that of a rotation: a polynomial. Of a
-    resonance that a broad load keeps up phase and size change by chance, which leaves more of it than is allowed.
-    """
-    whole = left.whole
-    count = whole.size
-    spectrum = rfft(whole * left.taper)
-    power = np.abs(spectrum) ** 2
-    place = int(np.argmax(np.where(left.may_be, power, 0.0)))
-    half = min(BAND, count // 4, place)
-    if half < WIDTH:
-        return ()
-    beside = left.surroundings(power, place)
-    offset = np.fft.fftfreq(2 * half, 1 / (2 * half))
-    ordinate = place + offset.astype(np.int64)
-    if ordinate.max() >= spectrum.size or power[place] < DRIFTING * beside:
-        return ()
-    x = np.linspace(-1, 1, 2 * half, endpoint=False)
-    taper = np.cos(0.5 * np.pi * x) ** 2
-    for reach in REACHES:
-        near = np.abs(offset) <= min(reach, half - 1)
-        slow = np.fft.ifft(np.where(near, spectrum[ordinate], 0.0))
-        by_chance = BY_CHANCE * np.count_nonzero(near) * beside
-        largest = max(LEFT * float(power[ordinate[near]].sum()), by_chance)
-        before = _left_of(slow, taper, np.zeros(x.size), x, near)
-        found: tuple[float, ...] = ()
-        phase = np.unwrap(np.angle(slow))
-        for degree in DEGREES:
-            fitted = np.polynomial.polynomial.polyfit(x, phase, degree, w=np.abs(slow))
-            course = np.asarray(np.polynomial.polynomial.polyval(x, fitted), dtype=np.float64)
-            after = _left_of(slow, taper, course, x, near)
-            if before - after > EVIDENCE / 3 * beside:
-                found, before = tuple(fitted[1:].tolist()), after
-        if before >= largest:
-            continue
-        if found:
-            # of n samples from -1 to 1 the phase grows by pi (n - 1) / n of them an ordinate
-            rate = np.pi * place + found[0]
-            return tuple(power * number / rate for power, number in enumerate(found[1:], start=2))
-        return ()
-    return ()
-
-
-def _left_of(slow: NDArray[np.complex128], taper: Array, phase: Array, x: Array, near: NDArray[np.bool_]) -> float:
-    """Power that a line of some phase, shape (m,) [rad], whose size grows along the record leaves of a slow series."""
-    line = taper * np.exp(1j * phase)
-    shapes = np.column_stack([line, line * x])
-    sizes, *_ = np.linalg.lstsq(shapes, slow)
-    return float(np.sum(np.abs(np.fft.fft(slow - shapes @ sizes)[near]) ** 2))
 
 
 def _series(
@@ -345,124 +264,3 @@ def _fundamental(tones: Array, strength: Array, *, shown: Array, ordinate: float
         if np.all(np.abs(tones - numbers * refined) < reach):
             return refined
     return None
-
-
-@dataclass(slots=True, eq=False)
-class _Tone:
-    """A tone: its frequency [rad/sample], and its cosine and sine from the middle of the record, shape (2,) [N]."""
-
-    rate: float
-    sizes: Array
-
-    @property
-    def amplitude(self) -> float:
-        """Its amplitude [N]."""
-        return float(np.hypot(*self.sizes))
-
-
-@dataclass(slots=True, eq=False)
-class _Left:
-    """What tones leave of readings.
-
-    Attributes
-    ----------
-    whole, left
-        Readings, and the same less the tones, shape (n,) [N].
-    may_be
-        Ordinates at which a tone may be at all, shape (n // 2 + 1,).
-    searched
-        Ordinates at which a tone may be, shape (n // 2 + 1,).
-    gain
-        Square of the balance's response at all of them, of that shape [1].
-    taper
-        Window under which they are looked at, shape (n,).
-    time
-        Samples from the middle of the record, shape (n,).
-    tones
-        The tones that were found.
-    """
-
-    whole: Array
-    left: Array
-    may_be: NDArray[np.bool_]
-    searched: NDArray[np.bool_]
-    gain: Array
-    taper: Array
-    time: Array
-    tones: list[_Tone]
-
-    @property
-    def power(self) -> float:
-        """What is left, squared [N^2]."""
-        return float(self.left @ self.left)
-
-    @classmethod
-    def of(cls, values: Array, searched: NDArray[np.bool_], gain: Array) -> _Left:
-        count = values.size
-        time = np.asarray(np.arange(count) - 0.5 * (count - 1), dtype=np.float64)
-        return cls(values, values, searched.copy(), searched, gain, hann(count), time, [])
-
-    def take_next(self) -> bool:
-        """Take out the tone that stands out most of its surroundings; whether there was one."""
-        count = self.left.size
-        spectrum = rfft(self.left * self.taper)
-        power = np.abs(spectrum) ** 2
-        whole = power.size // BLOCK
-        if not whole:
-            return False
-        level = np.median(power[: whole * BLOCK].reshape(whole, BLOCK), axis=1) / np.log(2)
-        around = np.append(np.repeat(level, BLOCK), np.full(power.size - whole * BLOCK, level[-1]))
-        over = np.where(self.searched, power / np.maximum(around, 1e-300), 0.0)
-        while True:
-            place = int(np.argmax(over))
-            if over[place] < EVIDENCE / 3:
-                return False
-            near = slice(max(place - WIDTH, 0), place + WIDTH + 1)
-            beside = self.surroundings(power, place)
-            if power[place] >= EVIDENCE / 3 * beside:
-                rate, after = nearest_sine(spectrum[:, None], place, count)
-                if after < max(LEFT * power[near].sum(), BY_CHANCE * (2 * WIDTH + 1) * beside):
-                    break
-            over[near] = 0.0
-            self.searched[near] = False
-        self._take(rate)
-        self.searched[near] = False
-        return True
-
-    def surroundings(self, power: Array, place: int) -> float:
-        """Mean power beside a place: that of the stronger side, by its median, as other tones may stand there.
-
-        Beside a resonance it is what a force there would make of it, where that is more.
-        """
-        first, last = BESIDE
-        levels = []
-        for side in (slice(max(place - last + 1, 1), max(place - first + 1, 1)), slice(place + first, place + last)):
-            if power[side].size:
-                of_force = power[side] / self.gain[side] * self.gain[place]
-                levels += [float(np.median(one)) / float(np.log(2)) for one in (power[side], of_force)]
-        return max(levels)
-
-    def _take(self, rate: float) -> None:
-        both = np.column_stack([np.cos(rate * self.time), np.sin(rate * self.time)])
-        shown = both * self.taper[:, None]
-        sizes = np.linalg.solve(shown.T @ shown, shown.T @ (self.left * self.taper))
-        self.left = np.asarray(self.left - both @ sizes, dtype=np.float64)
-        self.tones.append(_Tone(rate, np.asarray(sizes, dtype=np.float64)))
-
-    def refine(self) -> None:
-        """Find each frequency again beside the other tones."""
-        count = self.left.size
-        for _ in range(TURNS):
-            for tone in [self.tones.pop(0) for _ in range(len(self.tones))]:
-                angle = tone.rate * self.time
-                self.left = self.left + tone.sizes[0] * np.cos(angle) + tone.sizes[1] * np.sin(angle)
-                place = round(tone.rate * count / (2 * np.pi))
-                self._take(nearest_sine(rfft(self.left * self.taper)[:, None], place, count)[0])
-
-    def at(self, rate: float) -> tuple[float, float]:
-        """Amplitude [N] and evidence [1] of a further tone at a frequency [rad/sample]."""
-        count = self.left.size
-        transform = abs(np.sum(self.left * self.taper * np.exp(-1j * rate * self.time)))
-        power = np.abs(rfft(self.left * self.taper)) ** 2
-        beside = self.surroundings(power, round(rate * count / (2 * np.pi)))
-        return float(2 * transform / np.sum(self.taper)), float(3 * transform**2 / max(beside, 1e-300))
