@@ -53,8 +53,8 @@ class LocalModeSettings:
     heaviest
         Damping ratio above which a peak is the load's and no mode.
     most
-        Share of a steady load, of either sign, above which a peak is the load's and no mode: a narrow band that stands
-        alone asks for 1.5 and more, and no balance bends more in a further mode than in all.
+        Share of a steady load, of either sign, from which on a peak is the load's and no mode: the mode that has more
+        than half of it is the one that is known. A tone that wanders, alone, asks for 0.7 and more.
     excited
         Level of the balance's own resonance over the noise from which its frequency and damping are looked at.
     lack_of_fit
@@ -74,7 +74,7 @@ class LocalModeSettings:
     share: float = 0.05
     drops: tuple[float, ...] = (-3.0, 3.0)
     heaviest: float = 0.1
-    most: float = 1.0
+    most: float = 0.5
     excited: float = 20.0
     lack_of_fit: float = 5.0
     nearby: float = 1e-6

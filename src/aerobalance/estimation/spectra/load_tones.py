@@ -12,6 +12,7 @@ strongest of them does; the readings are looked at in that time.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import zip_longest
 from math import log, log1p
 from typing import Final, NamedTuple
@@ -24,7 +25,7 @@ from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.spectra.line_noise import MAINS
 from aerobalance.estimation.spectra.line_search import TURNS, LineSearch
 from aerobalance.estimation.spectra.lines import turned_time
-from aerobalance.estimation.spectra.rotor_drift import drift_of
+from aerobalance.estimation.spectra.rotor_drift import drift_of, drift_together
 from aerobalance.estimation.spectra.steady_tones import WIDTH
 from aerobalance.recording.channel import Array
 
@@ -118,8 +119,15 @@ def load_tones(
     may_drift
         Whether they are looked for as those of a rotation whose speed drifts as well.
     """
+
+    def drift_in(tones: LoadTones, left: LineSearch) -> tuple[float, ...]:
+        # of one line alone the spectrum of the force shows all; a rotation has several
+        rates = [2 * np.pi * frequency * interval for frequency in tones.frequencies]
+        together = partial(drift_together, response=lambda rate: dynamics.response(rate / (2 * np.pi * interval)))
+        return drift_of(left) or (together(left, rates) if len(rates) >= SEVERAL else ())
+
     steady, left = _tones_in(values, interval, dynamics, hum=hum)
-    more = drift_of(left) if may_drift else ()
+    more = drift_in(steady, left) if may_drift else ()
     if not more:
         return steady
     from scipy.interpolate import CubicSpline  # noqa: PLC0415 - takes 30 ms, and few records need it
@@ -131,10 +139,9 @@ def load_tones(
         drift = tuple(one + other for one, other in zip_longest(drift, more, fillvalue=0.0))
         turned, _rate = turned_time(drift, count=values.size, interval=1.0)
         drifting, beside = _tones_in(readings(np.interp(left.time, turned, left.time)), interval, dynamics, hum=hum)
-        more = drift_of(beside)
+        more = drift_in(drifting, beside)
         if not more:
             break
-    # of one line alone the spectrum of the force shows all; a rotation has several
     if len(drifting.frequencies) < SEVERAL or beside.power > left.power:
         return steady
     return drifting._replace(drift=drift)

@@ -1,7 +1,11 @@
-"""How the speed of a rotor drifts, by the phase of its harmonics."""
+"""How the speed of a rotor drifts, by the phase of its harmonics.
+
+The strongest shows a drift that spreads it over some ordinates; less than that all show together, as the same number.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -9,6 +13,8 @@ from numpy.typing import NDArray
 from scipy.fft import rfft
 
 from aerobalance.estimation.spectra.line_search import BY_CHANCE, EVIDENCE, LineSearch
+from aerobalance.estimation.spectra.lines import Response
+from aerobalance.estimation.spectra.periodogram import HANN_BANDWIDTH
 from aerobalance.estimation.spectra.steady_tones import BAND, LEFT, WIDTH
 from aerobalance.recording.channel import Array
 
@@ -21,6 +27,15 @@ REACHES: Final = (4, 8, 16, 31)
 
 DEGREES: Final = (1, 2, 3, 4, 5, 6)
 """Degrees of the polynomial that its phase may be; the first is another frequency."""
+
+TOLD: Final = 8.0
+"""Gain in log-likelihood from which on harmonics drift together: chance has it once in 20 000 records."""
+
+ABOUT: Final = 8
+"""Ordinates on either side of a harmonic in which a small drift shows: beyond, the window leaves 1e-5 of it."""
+
+STEP: Final = 1e-5
+"""Relative change of a frequency by which the slope of the balance's response is taken."""
 
 
 def drift_of(left: LineSearch) -> tuple[float, ...]:
@@ -66,6 +81,57 @@ def drift_of(left: LineSearch) -> tuple[float, ...]:
             return tuple(power * number / rate for power, number in enumerate(found[1:], start=2))
         return ()
     return ()
+
+
+def drift_together(left: LineSearch, rates: Sequence[float], response: Response) -> tuple[float, ...]:
+    """How tones drift that are all of one rotation (`turned_time`), to first order; none where chance may do as much.
+
+    A drift d turns the phase of each by w d t^2 / T, with T the length of the record, and takes it along the balance's
+    response. What that leaves of the readings beside the tones as steady is regressed on it, each harmonic weighed by
+    what is beside it.
+
+    Parameters
+    ----------
+    left
+        The readings less their tones.
+    rates
+        Those of the tones [rad/sample].
+    response
+        What the balance makes of a force at rates [rad/sample].
+    """
+    count = left.left.size
+    spectrum = rfft(left.left * left.taper)
+    power = np.abs(spectrum) ** 2
+    score = information = 0.0
+    for tone in left.tones:
+        place = round(tone.rate * count / (2 * np.pi))
+        half = min(BAND, count // 4, place, spectrum.size - 1 - place)
+        if half <= WIDTH or min(abs(tone.rate - rate) for rate in rates) > np.pi / count:
+            continue
+        beside = left.surroundings(power, place)
+        offset = np.fft.fftfreq(2 * half, 1 / (2 * half)).astype(np.int64)
+        near = np.abs(offset) <= min(ABOUT, half - 1)
+        # the readings about it, turned back to its ordinate, are a slow series of as many numbers
+        sample = np.arange(2 * half) * (count / (2 * half))
+        centred = sample - 0.5 * (count - 1)
+        x = centred / (0.5 * (count - 1))
+        away = tone.rate - 2 * np.pi * place / count
+        line = np.sin(np.pi * sample / count) ** 2 * np.exp(1j * away * centred)
+        phasor = complex(tone.sizes[0], -tone.sizes[1]) * np.exp(-1j * np.pi * place * (count - 1) / count)
+        line *= 0.5 * phasor * count / (2 * half)
+        around = response(tone.rate * np.array([1 - STEP, 1.0, 1 + STEP]))
+        along = complex((around[2] - around[0]) / (2 * STEP * around[1]))
+        drifts = along * x + 0.25j * tone.rate * (count - 1) * x**2
+        shapes = np.fft.fft(line * np.stack([np.ones_like(x), 1j * np.ones_like(x), 1j * x, drifts]), axis=1)[:, near]
+        seen = spectrum[place + offset][near]
+        *known, drifting = np.concatenate([shapes.real, shapes.imag], axis=1)
+        basis = np.column_stack(known)
+        drifting = drifting - basis @ np.linalg.lstsq(basis, drifting)[0]
+        score += float(drifting @ np.concatenate([seen.real, seen.imag])) / beside
+        information += float(drifting @ drifting) / beside
+    if information == 0 or score**2 < TOLD * HANN_BANDWIDTH * information:
+        return ()
+    return (score / information,)
 
 
 def _left_of(slow: NDArray[np.complex128], taper: Array, phase: Array, x: Array, near: NDArray[np.bool_]) -> float:
