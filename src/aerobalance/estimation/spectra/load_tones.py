@@ -12,7 +12,6 @@ strongest of them does; the readings are looked at in that time.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from itertools import zip_longest
 from math import log, log1p
 from typing import Final, NamedTuple
@@ -123,8 +122,7 @@ def load_tones(
     def drift_in(tones: LoadTones, left: LineSearch) -> tuple[float, ...]:
         # of one line alone the spectrum of the force shows all; a rotation has several
         rates = [2 * np.pi * frequency * interval for frequency in tones.frequencies]
-        together = partial(drift_together, response=lambda rate: dynamics.response(rate / (2 * np.pi * interval)))
-        return drift_of(left) or (together(left, rates) if len(rates) >= SEVERAL else ())
+        return drift_of(left) or (drift_together(left, rates) if len(rates) >= SEVERAL else ())
 
     steady, left = _tones_in(values, interval, dynamics, hum=hum)
     more = drift_in(steady, left) if may_drift else ()

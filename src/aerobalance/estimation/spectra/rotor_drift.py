@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from scipy.fft import rfft
 
 from aerobalance.estimation.spectra.line_search import BY_CHANCE, EVIDENCE, LineSearch
-from aerobalance.estimation.spectra.lines import Response
 from aerobalance.estimation.spectra.periodogram import HANN_BANDWIDTH
 from aerobalance.estimation.spectra.steady_tones import BAND, LEFT, WIDTH
 from aerobalance.recording.channel import Array
@@ -33,9 +32,6 @@ TOLD: Final = 8.0
 
 ABOUT: Final = 8
 """Ordinates on either side of a harmonic in which a small drift shows: beyond, the window leaves 1e-5 of it."""
-
-STEP: Final = 1e-5
-"""Relative change of a frequency by which the slope of the balance's response is taken."""
 
 
 def drift_of(left: LineSearch) -> tuple[float, ...]:
@@ -83,12 +79,12 @@ def drift_of(left: LineSearch) -> tuple[float, ...]:
     return ()
 
 
-def drift_together(left: LineSearch, rates: Sequence[float], response: Response) -> tuple[float, ...]:
+def drift_together(left: LineSearch, rates: Sequence[float]) -> tuple[float, ...]:
     """How tones drift that are all of one rotation (`turned_time`), to first order; none where chance may do as much.
 
-    A drift d turns the phase of each by w d t^2 / T, with T the length of the record, and takes it along the balance's
-    response. What that leaves of the readings beside the tones as steady is regressed on it, each harmonic weighed by
-    what is beside it.
+    A drift d turns the phase of each by w d t^2 / T, with T the length of the record. What that leaves of the readings
+    beside the tones as steady is regressed on it, each harmonic weighed by what is beside it. That its size and phase
+    grow along the record, as with the balance's answer to another frequency, tells nothing.
 
     Parameters
     ----------
@@ -96,8 +92,6 @@ def drift_together(left: LineSearch, rates: Sequence[float], response: Response)
         The readings less their tones.
     rates
         Those of the tones [rad/sample].
-    response
-        What the balance makes of a force at rates [rad/sample].
     """
     count = left.left.size
     spectrum = rfft(left.left * left.taper)
@@ -119,10 +113,9 @@ def drift_together(left: LineSearch, rates: Sequence[float], response: Response)
         line = np.sin(np.pi * sample / count) ** 2 * np.exp(1j * away * centred)
         phasor = complex(tone.sizes[0], -tone.sizes[1]) * np.exp(-1j * np.pi * place * (count - 1) / count)
         line *= 0.5 * phasor * count / (2 * half)
-        around = response(tone.rate * np.array([1 - STEP, 1.0, 1 + STEP]))
-        along = complex((around[2] - around[0]) / (2 * STEP * around[1]))
-        drifts = along * x + 0.25j * tone.rate * (count - 1) * x**2
-        shapes = np.fft.fft(line * np.stack([np.ones_like(x), 1j * np.ones_like(x), 1j * x, drifts]), axis=1)[:, near]
+        steady = np.stack([np.ones_like(x), x])
+        turning = 0.25j * tone.rate * (count - 1) * x**2
+        shapes = np.fft.fft(line * np.concatenate([steady, 1j * steady, turning[None]]), axis=1)[:, near]
         seen = spectrum[place + offset][near]
         *known, drifting = np.concatenate([shapes.real, shapes.imag], axis=1)
         basis = np.column_stack(known)
