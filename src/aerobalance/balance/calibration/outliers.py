@@ -185,9 +185,10 @@ def _cause(schedule: Schedule, point: int, index: int, read: Array) -> str:
     name = schedule.components[worst]
     if not alone:
         second = int(np.argsort(change)[-2])
-        crossed = np.array(read)
-        crossed[[worst, second]] = read[[second, worst]]
-        exchanged = np.all(np.abs(crossed - loads) / capacities < SETTINGS.exact * change[worst])
+        crossed = np.array(loads)
+        crossed[[worst, second]] = loads[[second, worst]]
+        # what is read is as exact as its own bridge tells it, whatever the capacity of the other
+        exchanged = np.all(np.abs(read - crossed) / capacities < SETTINGS.exact * change[worst])
         return f"the loads of {name} and {schedule.components[second]} are exchanged" if exchanged else ""
     if abs(loads[worst]) < SETTINGS.none * abs(read[worst]):
         return f"a load of {name} was on the balance that the schedule does not have"
