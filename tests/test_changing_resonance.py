@@ -90,12 +90,17 @@ def test_another_natural_frequency_of_a_half_is_named_with_its_time(rng, factor)
 
 
 def test_a_balance_that_does_not_change_is_not_doubted(rng) -> None:
+    """Of 1100 records that agree 8 leave another frequency open: two of ten do once in 400 soaks."""
+    left_open = 0
     for _ in range(trials(2, 10)):
         force, record = run(rng, 1.0)
         found = estimate_force(record, T128)
         assert found.verdict == "fit for use"
         assert not any("natural frequency" in name for name in found.only.budget)
-        assert 0.8 < rms((found.only.values - force) / found.only.uncertainty) < 1.2
+        z = rms((found.only.values - force) / found.only.uncertainty)
+        assert z < 1.2
+        left_open += z < 0.8
+    assert left_open <= 1
 
 
 def test_a_short_record_is_one_stretch(rng) -> None:
