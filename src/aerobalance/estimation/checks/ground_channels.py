@@ -246,14 +246,44 @@ class Far(NamedTuple):
         pace
             Frequency of its motion [Hz times the interval].
         """
-        # what is white stays so when it is moved: one pass of the filter tells all delays
-        most, weighted = int(SETTINGS.reach * samples), np.matmul(motion[:, None, :], white.weights)[:, 0, :]
-        lines = np.einsum("mc,mc->m", weighted, np.conj(white.shown + motion))
-        lines[[0, -1]] *= 2.0
-        both = irfft(lines, length_of(samples)) * length_of(samples) / 2
-        told = np.concatenate([both[-most:], both[: most + 1]]) ** 2 / white.squares(motion)
-        best, gained = int(np.argmax(told)) - most, float(np.max(told) - told[most]) / 2
+        gains = _gains_of_delays(white, motion, white.shown + motion, samples=samples)
+        most = gains.size // 2
+        best, gained = int(np.argmax(gains)) - most, float(np.max(gains) - gains[most])
         return None if abs(best) * pace <= SETTINGS.beyond_slopes * SETTINGS.apart else cls(best, gained)
+
+
+def _gains_of_delays(white: White, motion: Lines, whole: Lines, *, samples: int) -> Array:
+    """Gain in log-likelihood by a motion that is moved in time, by each delay from -k to k samples, shape (2 k + 1,).
+
+    Parameters
+    ----------
+    white
+        The readings.
+    motion
+        Load under what a channel reads, in the white readings, shape (m, c).
+    whole
+        The white readings with all of the motion in them, shape (m, c).
+    samples
+        Samples of the record.
+    """
+    # what is white stays so when it is moved: one pass of the filter tells all delays
+    most, weighted = int(SETTINGS.reach * samples), np.matmul(motion[:, None, :], white.weights)[:, 0, :]
+    lines = np.einsum("mc,mc->m", weighted, np.conj(whole))
+    lines[[0, -1]] *= 2.0
+    both = irfft(lines, length_of(samples)) * length_of(samples) / 2
+    return np.asarray(np.concatenate([both[-most:], both[: most + 1]]) ** 2 / white.squares(motion) / 2)
+
+
+def _peak_of(gains: Array) -> tuple[float, float]:
+    """Place of the maximum of a log-likelihood from the middle, and by its curvature its standard uncertainty."""
+    top = int(np.clip(np.argmax(gains), 1, gains.size - 2))
+    below = np.flatnonzero(gains < gains[top] - SETTINGS.about_peak)
+    first = min(int(below[below < top].max(initial=-1)) + 1, top - 1)
+    last = max(int(below[below > top].min(initial=gains.size)), top + 2)
+    away = np.arange(first, last) - top
+    bend, slope, _ = np.polyfit(away, gains[first:last], 2)
+    u = 1 / float(np.sqrt(max(-2 * bend, 1e-12)))
+    return top - gains.size // 2 + float(np.clip(slope * u**2, away[0], away[-1])), u
 
 
 def _far(asked: Witnesses, shapes: ChannelShapes, *, samples: int) -> dict[str, list[GroundFault]] | None:
@@ -263,33 +293,36 @@ def _far(asked: Witnesses, shapes: ChannelShapes, *, samples: int) -> dict[str, 
     taken which leaves least of the reading.
     """
     h = 1 / asked.recording.rate
-    best, apart = samples * h, SETTINGS.apart * h / shapes.pace
 
     def felt(delay: float) -> list[Array]:
         moved = fractional_delay(shapes.slopes[1], delay=-delay, interval=h)
         return [one.felt(moved) for one in asked.all]
 
     size = SETTINGS.probe * h
-    here, there, early, late = (felt(delay) for delay in (0.0, best, best - size, best + size))
+    here, there, early, late = (felt(delay) for delay in (0.0, samples * h, samples * h - size, samples * h + size))
     moved = [np.column_stack([one, (b - a) / (2 * size)]) for one, a, b in zip(there, early, late, strict=True)]
     filters = [
         one.without(np.column_stack([one.known, *own])) for one, *own in zip(asked.all, moved, here, strict=True)
     ]
     white = White.of(asked, filters)
-    whole = white.shown + white.columns([own[:, None] for own in here])[..., 0]
-    found = white.solved(white.columns(moved), whole)
-    gain, rate = found.sizes
+    motion = white.columns([own[:, None] for own in here])[..., 0]
+    whole = white.shown + motion
+    # by the likelihood and not by the slope of what is read: that has the slope of the sensor's noise in it
+    delay, u_delay = (
+        h * found for found in _peak_of(_gains_of_delays(white, motion, whole, samples=asked.recording.samples))
+    )
+    there = felt(delay)
+    found = white.solved(white.columns([own[:, None] for own in there]), whole)
+    (gain,), (u_gain,) = found.sizes, found.u
     gained = white.squares(white.shown) - white.squares(whole) + found.explained
     if gain <= 0 or gained < 2 * SETTINGS.decisive:
         return None  # of the other sign, slopes tell it
-    delay = best + float(np.clip(rate / gain, -apart, apart))
-    u_gain, u_rate = found.u
     answer = {}
-    for one, own, moved_there in zip(asked.all, here, felt(delay), strict=True):
+    for one, own, moved_there in zip(asked.all, here, there, strict=True):
         parts = -np.column_stack([moved_there - own, (gain - 1) * moved_there])
         answer[one.record.dynamics.component] = [
             GroundFault(
-                shapes.name, asked.components, delay, float(u_rate / gain), float(gain - 1), float(u_gain), 0.0, 1.0,
+                shapes.name, asked.components, delay, u_delay, float(gain - 1), float(u_gain), 0.0, 1.0,
                 np.column_stack([parts, parts[:, 0]]), asked.sure,
             )
         ]  # fmt: skip

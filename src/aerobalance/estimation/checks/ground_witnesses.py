@@ -76,6 +76,8 @@ class GroundChannelSettings:
     promising, decisive
         Gain in log-likelihood of a delay of these from which on the force's spectrum is learned again without it, and
         that it must have then.
+    about_peak
+        Log-likelihood below its maximum down to which delays tell their uncertainty: two of it either way.
     coherent, part
         Lines in a band in which the coherence of components is taken as one, at least, and the part of its frequency.
     least
@@ -110,6 +112,7 @@ class GroundChannelSettings:
     beyond_slopes: float = 2.0
     promising: float = 3.0
     decisive: float = 12.0
+    about_peak: float = 2.0
     coherent: int = 64
     part: int = 10
     least: float = 0.5
