@@ -117,7 +117,9 @@ def test_a_gain_of_nine_tenths_is_found(seed):
         others = [doubt for doubt in doubts if "ground_acceleration_z" not in doubt.text]
         chance += bool(others)
         named += len(doubts) > len(others)
-        assert max(record.ratios(force).values()) < 1.5 or not doubts
+        # the faint force of a component may be doubted to be noise of a color, which has half of its size in u
+        faint = {doubt.component for doubt in force.doubts if doubt.kind == "colored noise"}
+        assert max(ratio for name, ratio in record.ratios(force).items() if name not in faint) < 1.5 or not doubts
     assert named > count / 2
     assert chance <= 1
 
