@@ -103,7 +103,8 @@ def test_wind_below_the_ringing_is_no_force_in_it(rng):
     fit = quietly(windy(rng, rms=50.0, band=(0.0, 30.0)))
     for name in ("stiffness", "damping"):
         assert abs(getattr(fit.dynamics, name) - getattr(T128, name)) < 5 * fit.dynamics.uncertainty(name)
-    assert fit.dynamics.uncertainty("damping") < 0.02 * T128.damping
+    # 0.006 to 0.009 of it, and three times that where the wind looks like modes that ring on for as long
+    assert fit.dynamics.uncertainty("damping") < 0.03 * T128.damping
 
 
 def test_a_clean_release_is_not_doubted(rng):

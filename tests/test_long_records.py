@@ -251,6 +251,8 @@ def test_budget_of_parts_is_that_of_the_whole(rng):
             assert one.parts[name] == pytest.approx(other.parts[name], rel=0.05, abs=0.01 * one.u), (one.name, name)
     known = {row.name: row for row in component_budget(found)}
     for row in component_budget(whole):
+        if "leaves open" in row.name:
+            continue  # what a record leaves open its parts may show, or the other way
         assert known[row.name].rms == pytest.approx(row.rms, rel=0.05, abs=0.01 * rms(whole.uncertainty)), row.name
     assert known[JOINTS].rms < 0.1 * rms(whole.uncertainty)
     one, other = (spectrum(estimate, rate=RATE) for estimate in (whole, found))
