@@ -1,5 +1,6 @@
 """The force beside noise with a color: with a record of that noise, and what is seen without one."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -27,6 +28,7 @@ from aerobalance.recording.recording import Recording
 from aerobalance.uncertainty.budget import budget
 from helpers.cable_cut import T128
 from helpers.coloured_noise import RATE, WHITE, noise_of
+from seeds import trials
 
 N = 8000
 
@@ -96,16 +98,26 @@ def test_uncertainty_is_that_of_the_true_noise(rng):
 
 
 def test_slow_noise_is_no_force_and_is_told(rng):
-    """1/f noise of a corner of 30 Hz gains 20 to 28 in log-likelihood in 5 s over a force that would look like it."""
-    values = noise_of(rng, one_over_f(30).density, n=N)
-    with pytest.warns(DataQualityWarning, match="rises at low frequency, as 1/f"):
-        found = estimate_force(record_of(values), T128).only
-    assert found.bandwidth == 0
-    assert np.ptp(found.values) < 1e-9
-    frequency = np.array([2.0, 10.0, 30.0])
-    color = found.learned.color.density(frequency)
-    # as in the noise record's test: of so few ordinates the level is known to some tenths
-    assert np.all(np.abs(np.log(color / (WHITE * 30 / frequency))) < 0.8)
+    """1/f noise of a corner of 30 Hz gains 17 to 40 in log-likelihood in 5 s over a force that would look like it.
+
+    By chance it has little power in its lowest few ordinates, and gains less than 7: one record of some thirty.
+    """
+    told, count = 0, trials(1, 4)
+    for _ in range(count):
+        values = noise_of(rng, one_over_f(30).density, n=N)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always", DataQualityWarning)
+            found = estimate_force(record_of(values), T128).only
+        if not any("rises at low frequency, as 1/f" in str(one.message) for one in caught):
+            continue
+        told += 1
+        assert found.bandwidth == 0
+        assert np.ptp(found.values) < 1e-9
+        frequency = np.array([2.0, 10.0, 30.0])
+        color = found.learned.color.density(frequency)
+        # as in the noise record's test: of so few ordinates the level is known to some tenths
+        assert np.all(np.abs(np.log(color / (WHITE * 30 / frequency))) < 0.8)
+    assert told >= max(count - 1, 1)
 
 
 def force_beside_a_hump(generator: np.random.Generator) -> tuple[Recording, np.ndarray]:

@@ -126,8 +126,7 @@ def slow_noise_of(
     plain = max(plain, again, key=lambda fit: fit.evidence)
     found = [
         _in_turn(reading, periodogram, spectrum, start)
-        for spectrum, (gain, start) in zip((learned.spectrum, nothing), starts, strict=True)
-        if gain > WORTH_A_LOOK
+        for spectrum, (_, start) in zip((learned.spectrum, nothing), starts, strict=True)
     ]
     fit, noise = max(found, key=lambda pair: pair[0].evidence)
     # a segment of the force that is just worth it with one noise may just not be with the other
