@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -10,7 +11,7 @@ import pytest
 
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.ground_alignment import alone
-from aerobalance.estimation.checks.ground_channels import GroundFault, ground_faults, measured
+from aerobalance.estimation.checks.ground_channels import GroundFault, ground_findings, measured
 from aerobalance.estimation.checks.ground_doubts import LEFT_OPEN
 from aerobalance.estimation.checks.ground_witnesses import SETTINGS, Witness, Witnesses, above_noise
 from aerobalance.estimation.checks.white_readings import Solved, White
@@ -92,7 +93,11 @@ def test_a_fault_of_one_channel_is_named_and_counted(channel, fault, size, rng):
     record = (made.with_late(channel, size) if fault == "late" else made.with_gain(channel, size)).used
     force = record.force
     doubts = about_ground(force)
-    assert doubts
+    if not doubts:  # a record of a large load and little of this motion does not tell: then that is assumed
+        assert fault == "late"
+        assumed = [one for part in force.values() for one in part.assumed if one.kind == "ground delay"]
+        assert any(channel in one.text for one in assumed)
+        return
     kind, expected = ("ground delay", 1e3 * size) if fault == "late" else ("ground gain", 1 / size)
     for doubt in doubts:
         assert doubt.kind == kind
@@ -151,6 +156,19 @@ def fitted(record: CoupledRecord) -> Sequence[Witness]:
     return [Witness(fit.record, fit.smoothed) for fit in fits]
 
 
+def test_what_a_delay_would_do_that_a_record_does_not_tell_is_assumed(rng):
+    """A load that is large beside the motion hides 5 ms, which made errors of up to 60 u without a word.
+
+    The effect is worked out by the spectrum of stretches, and to first order of the delay: to a fifth.
+    """
+    made = shaken(rng, load=0.2)
+    force = made.used.force["PM"]
+    (one,) = [one for one in force.assumed if one.kind == "ground delay"]
+    named = re.findall(r"ground_\w+|pitch|roll", one.text.split(" read at")[0])
+    late = [made.with_late(name, 1e-3).used.force["PM"].values for name in named]
+    assert one.effect == pytest.approx(float(np.sqrt(sum(np.var(other - force.values) for other in late))), rel=0.2)
+
+
 def told_of(fault: GroundFault) -> float:
     """The largest probability that a delay, a gain or a drift of a channel is no chance."""
     sizes = ((fault.delay, fault.u_delay), (fault.gain, fault.u_gain), (fault.drift, fault.u_drift))
@@ -173,7 +191,8 @@ def test_sizes_scatter_as_they_are_said_to(seed):
             exact = white.solved(white.columns(asked.with_drift(shapes).felt)).explained
             # it decides whether the exact one is worked out, at `worth_a_look`: a twentieth of that
             assert found[-1] == pytest.approx(exact, rel=0.05, abs=0.05 * SETTINGS.worth_a_look)
-        sure = [one for faults in ground_faults(asked).values() for one in faults if np.isclose(told_of(one), 1)]
+        found_of = ground_findings(asked).values()
+        sure = [one for findings in found_of for one in findings.faults if np.isclose(told_of(one), 1)]
         chance += bool(sure)
     assert chance <= 1  # once in 700 records
     # chi-squares of one record are independent of each other but for what the channels have in common

@@ -14,7 +14,7 @@ import numpy as np
 
 from aerobalance.estimation.checks.assumptions import assumptions_of
 from aerobalance.estimation.checks.ground_alignment import ChannelAlignment, alone, with_channel_aligned
-from aerobalance.estimation.checks.ground_channels import GroundFault
+from aerobalance.estimation.checks.ground_channels import NO_FINDINGS, GroundFindings
 from aerobalance.estimation.checks.ground_doubts import ground_doubts
 from aerobalance.estimation.checks.ground_witnesses import SETTINGS as GROUND_CHANNELS
 from aerobalance.estimation.checks.left_open import left_open
@@ -216,7 +216,7 @@ class Fitted:
         smoothed = SmootherResult.of(signal.reading, learned=signal.learned, steps=signal.steps)
         return cls(record, hum, signal, smoothed, doubts)
 
-    def estimate(self, *, few: bool = False, ground: Sequence[GroundFault] = ()) -> ComponentForce:
+    def estimate(self, *, few: bool = False, ground: GroundFindings = NO_FINDINGS) -> ComponentForce:
         """The force with its uncertainty and what the record says against it.
 
         Parameters
@@ -262,7 +262,7 @@ class Fitted:
             *record.motion_errors(moved),
             *record.reading_errors(fit.force, through),
         ]
-        for doubt, error in ground_doubts(record.dynamics.component, ground, through, errors=tuple(errors)):
+        for doubt, error in ground_doubts(record.dynamics.component, ground.faults, through, errors=tuple(errors)):
             doubts += [] if doubt is None else [doubt]
             errors.append(error)
         if missed_there.any():
@@ -289,7 +289,7 @@ class Fitted:
             learned=learned,
             shared=record.shared,
             doubts=tuple(doubts),
-            assumed=tuple(assumptions_of(record, fit, through, hum=self.hum)),
+            assumed=(*assumptions_of(record, fit, through, hum=self.hum), *ground.assumed),
             found_motion=self.found_motion,
         )
 

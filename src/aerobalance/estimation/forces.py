@@ -17,7 +17,7 @@ from aerobalance.balance.calibration_nonlinearity import NonlinearErrors
 from aerobalance.balance.loads import Loads, static_uncertainty
 from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.estimation.checks.ground_alignment import alone
-from aerobalance.estimation.checks.ground_channels import GroundFault, ground_faults
+from aerobalance.estimation.checks.ground_channels import NO_FINDINGS, GroundFindings, ground_findings
 from aerobalance.estimation.checks.ground_witnesses import Witness, Witnesses
 from aerobalance.estimation.component_force import Fitted, Method, by_smoother, estimated
 from aerobalance.estimation.correlated_noise import NoiseMatrix, SharedNoise, as_expected, shared_noise
@@ -138,11 +138,11 @@ def forces_of(
         fits |= dict(zip(better, side_by_side(anew, better, what="component"), strict=True))
 
     with PROGRESS.stage(0.8, 0.85, "ground channels"):
-        ground = _ground_faults(fits, record)
+        ground = _ground_findings(fits, record)
 
     def estimated_with(name: str) -> ComponentForce:
         fit = fits.pop(name)
-        found = fit.estimate(few=few, ground=ground.pop(name, ()))
+        found = fit.estimate(few=few, ground=ground.pop(name, NO_FINDINGS))
         if missing is not None:
             found = with_errors(found, missing.error(fit))
         if name in moved:
@@ -154,14 +154,14 @@ def forces_of(
         return dict(zip(names, side_by_side(estimated_with, names, what="component"), strict=True))
 
 
-def _ground_faults(fits: Mapping[str, Fitted], record: ForceRecord) -> dict[str, Sequence[GroundFault]]:
+def _ground_findings(fits: Mapping[str, Fitted], record: ForceRecord) -> dict[str, GroundFindings]:
     """What the loads say of the channels of the ground's motion, by component; coupled ones are asked at once."""
     asked = [alone(fit.record, fit.smoothed) for fit in fits.values() if moves_along_axis(fit.record)]
     if isinstance(record, CoupledRecord) and record.dynamics.mass is not None:
         every = tuple(Witness(fit.record, fit.smoothed) for fit in fits.values())
         asked = [Witnesses(record.recording, every, None)]
-    found: dict[str, Sequence[GroundFault]] = {}
-    for one in side_by_side(ground_faults, asked):
+    found: dict[str, GroundFindings] = {}
+    for one in side_by_side(ground_findings, asked):
         found |= one
     return found
 

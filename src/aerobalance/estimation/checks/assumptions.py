@@ -57,6 +57,8 @@ class AssumptionSettings:
         Relative error of a mass [1].
     apart
         Time between the readings of two bridges [s]: what converters that take one after the other wait to settle.
+    late
+        Time by which channels of the ground's motion may usually be late or early unnoticed [s].
     stretches, stretch
         Stretches of the record, spread evenly, of which the effect of that is told, and samples of each.
     drift
@@ -82,6 +84,7 @@ class AssumptionSettings:
     angle: float = float(np.radians(0.1))
     mass: float = 0.01
     apart: float = 1e-5
+    late: float = 1e-3
     stretches: int = 16
     stretch: int = 4096
     drift: float = 0.001
@@ -276,18 +279,16 @@ def _of_time(record: DecoupledRecord, fit: SmootherResult, *, least: float) -> I
     if any(channel.delay for channel in record.channels):
         return
     count, interval, place = fit.force.size, record.interval, record.decoupled.place
-    size = min(SETTINGS.stretch, count)
     late = SETTINGS.apart * np.arange(len(record.channels))
-    first = np.unique(np.linspace(0, count - size, SETTINGS.stretches).astype(int))
+    first, size = stretches_in(count)
     taper = hann(size)
     stretches = record.loads[first[:, None] + np.arange(size)]
     lines = np.fft.rfft((stretches - stretches.mean(axis=1, keepdims=True)) * taper[:, None], axis=1)
     frequency = np.asarray(np.fft.rfftfreq(size, interval), dtype=np.float64)
     slopes = lines * (2j * np.pi * frequency[:, None] * late)
     felt = np.einsum("kmj,mj->km", slopes, record.coupled.inverse_response(frequency)[:, place])
-    shown = fit.learned.spectrum.density(frequency) * np.abs(fit.reading.dynamics.response(frequency)) ** 2
-    passed = shown / (shown + fit.learned.noise_density(frequency, interval=interval))
-    power = 2 * float(np.sum(np.abs(passed * felt) ** 2)) / (first.size * size * float(np.sum(taper**2)))
+    power = 2 * float(np.sum(np.abs(passed_by(fit, frequency) * felt) ** 2))
+    power /= first.size * size * float(np.sum(taper**2))
     at_steps = np.sum([step.height**2 for step in fit.steps]) * float(late[place]) / (count * interval)
     effect = float(np.sqrt(power + at_steps))
     if effect > least:
@@ -297,6 +298,18 @@ def _of_time(record: DecoupledRecord, fit: SmootherResult, *, least: float) -> I
             f"they would change {name} by {{}}; a delay of each channel says when"
         )
         yield _told("time of reading", name, text, effect, si_unit(name))
+
+
+def stretches_in(count: int) -> tuple[NDArray[np.intp], int]:
+    """Return the first samples of stretches of a record of so many samples, spread evenly, and samples of each."""
+    size = min(SETTINGS.stretch, count)
+    return np.unique(np.linspace(0, count - size, SETTINGS.stretches).astype(np.intp)), size
+
+
+def passed_by(fit: SmootherResult, frequency: Array) -> Array:
+    """Return what the smoother lets through of a force, S G^2 / (S G^2 + N), at frequencies [Hz] of shape (m,) [1]."""
+    shown = fit.learned.spectrum.density(frequency) * np.abs(fit.reading.dynamics.response(frequency)) ** 2
+    return np.asarray(shown / (shown + fit.learned.noise_density(frequency, interval=fit.reading.interval)))
 
 
 def _of_single(record: SingleRecord, fit: SmootherResult, unit: str) -> Iterator[Assumption]:

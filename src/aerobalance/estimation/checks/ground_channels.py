@@ -14,7 +14,7 @@ mass is a force.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
@@ -22,9 +22,12 @@ import numpy as np
 from scipy.fft import irfft
 from scipy.special import chdtri, expit
 
-from aerobalance.estimation.checks.ground_witnesses import SETTINGS, ChannelShapes, Witnesses
+from aerobalance.estimation.checks.assumptions import SETTINGS as ASSUMED
+from aerobalance.estimation.checks.ground_witnesses import SETTINGS, ChannelShapes, Witness, Witnesses
 from aerobalance.estimation.checks.white_readings import Lines, Solved, White, length_of
 from aerobalance.recording.channel import Array
+from aerobalance.recording.components import si_unit
+from aerobalance.recording.doubts import Assumption
 from aerobalance.recording.resampling import fractional_delay
 from aerobalance.recording.side_by_side import side_by_side
 
@@ -79,7 +82,34 @@ class GroundFault:
         return float(expit(SETTINGS.steepness * gain)) if gain > -SETTINGS.open else 0.0
 
 
-def ground_faults(asked: Witnesses) -> dict[str, list[GroundFault]]:
+class GroundFindings(NamedTuple):
+    """What the loads say of the channels of the ground's motion, as it is left in one component.
+
+    Attributes
+    ----------
+    faults
+        Channels that are late, early, or read too much.
+    assumed
+        That the others are not, where the loads do not tell.
+    """
+
+    faults: Sequence[GroundFault] = ()
+    assumed: tuple[Assumption, ...] = ()
+
+
+NO_FINDINGS: Final = GroundFindings()
+"""Where nothing was asked."""
+
+
+class _Look(NamedTuple):
+    """What a first look at a channel says: its shapes, a large delay, and the force that an untold one makes (c,)."""
+
+    shapes: ChannelShapes | None = None
+    far: tuple[Far, ChannelShapes] | None = None
+    untold: Array | None = None
+
+
+def ground_findings(asked: Witnesses) -> dict[str, GroundFindings]:
     """Return what the loads say of the channels of the ground's motion, by the component that it leaves something in.
 
     Parameters
@@ -89,26 +119,59 @@ def ground_faults(asked: Witnesses) -> dict[str, list[GroundFault]]:
     """
     white = White.of(asked, [one.fit.filter for one in asked.all])
 
-    def looked_at(name: str) -> tuple[ChannelShapes | None, tuple[Far, ChannelShapes] | None]:
+    def looked_at(name: str) -> _Look:
         """Shapes of a channel that shows, and a delay of it that may be larger than slopes tell."""
         shapes = asked.shapes_of(name)
         if shapes is None:
-            return None, None
+            return _Look()
         columns = white.with_drift(shapes.felt)
-        shows = white.solved(columns, expected=asked.expected).explained > asked.worth_a_look
+        found = white.solved(columns, expected=asked.expected)
         hint = Far.of(white, columns[..., 1], samples=asked.recording.samples, pace=shapes.pace)
         late = hint is not None and hint.gained >= asked.promising(shapes.pace)
-        return asked.with_drift(shapes) if shows else None, (hint, shapes) if hint is not None and late else None
+        untold = None
+        if found.u[0] > ASSUMED.told * ASSUMED.late:
+            every = zip(asked.all, shapes.felt, strict=True)
+            untold = ASSUMED.late * np.array([one.force_under(felt[:, 0]) for one, felt in every])
+        return _Look(
+            asked.with_drift(shapes) if found.explained > asked.worth_a_look else None,
+            (hint, shapes) if hint is not None and late else None,
+            untold,
+        )
 
-    looks = side_by_side(looked_at, asked.changes.channels)
-    suspects = [shapes for shapes, _ in looks if shapes is not None]
-    lateness = [late for _, late in looks if late is not None]
+    looks = dict(zip(asked.changes.channels, side_by_side(looked_at, asked.changes.channels), strict=True))
+    faults = _faults(asked, list(looks.values()))
+    named = {fault.channel for found in faults.values() for fault in found}
+    untold = {name: look.untold for name, look in looks.items() if look.untold is not None and name not in named}
+    return {
+        name: GroundFindings(faults.get(name, ()), tuple(_assumed(one, place, untold)))
+        for place, (name, one) in enumerate(zip(asked.components, asked.all, strict=True))
+    }
+
+
+def _faults(asked: Witnesses, looks: Sequence[_Look]) -> dict[str, list[GroundFault]]:
+    """What the loads say of the channels, by component."""
+    lateness = [look.far for look in looks if look.far is not None]
     if lateness:
         hint, shapes = max(lateness, key=lambda one: one[0].gained)
         found = _far(asked, shapes, samples=hint.samples)
         if found is not None:
             return found
-    return _together(asked, suspects)
+    return _together(asked, [look.shapes for look in looks if look.shapes is not None])
+
+
+def _assumed(witness: Witness, place: int, untold: Mapping[str, Array]) -> Iterator[Assumption]:
+    """What is assumed of channels that may be late, by what each would make of the forces; small effects are none."""
+    least = ASSUMED.matters * float(np.sqrt(np.mean(witness.fit.variance)))
+    effects = {name: float(force[place]) for name, force in untold.items() if force[place] > least}
+    if effects:
+        component = witness.record.dynamics.component
+        unit, effect = si_unit(component), float(np.hypot.reduce(list(effects.values())))
+        text = (
+            f"{' and '.join(effects)} {'are' if len(effects) > 1 else 'is'} read at the instants of the loads, which "
+            f"this record does not tell: {1e3 * ASSUMED.late:g} ms late or early would change the force by "
+            f"{effect:.2g} {unit} rms"
+        )
+        yield Assumption("ground delay", component, text, effect, unit)
 
 
 def _together(asked: Witnesses, suspects: list[ChannelShapes]) -> dict[str, list[GroundFault]]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, rfft
 from scipy.special import chdtrc, chdtri, ndtr, ndtri
 
+from aerobalance.estimation.checks.assumptions import passed_by, stretches_in
 from aerobalance.estimation.force_smoother import SmootherResult, instant_columns
 from aerobalance.estimation.prior import fit_prior
 from aerobalance.estimation.record import ComponentRecord
@@ -19,6 +20,7 @@ from aerobalance.motion.changes import MotionChanges
 from aerobalance.motion.platform import SystematicParameter, driven_column
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import kept_warnings
+from aerobalance.recording.fourier import hann
 from aerobalance.recording.linalg import table_covariance
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.recording import Recording
@@ -152,6 +154,15 @@ class Witness:
     def felt(self, slope: Array) -> Array:
         """Balance load under a change of the ground's specific force, shapes (n,) and (n,) or (n, 6)."""
         return self.record.felt_under(SystematicParameter("", "", slope, 0.0))
+
+    def force_under(self, felt: Array) -> float:
+        """Rms of what a balance load, shape (n,), makes of the force, by stretches of it [N]."""
+        first, size = stretches_in(felt.size)
+        taper, stretches = hann(size), felt[first[:, None] + np.arange(size)]
+        frequency = np.asarray(np.fft.rfftfreq(size, self.fit.reading.interval), dtype=np.float64)
+        by_force = passed_by(self.fit, frequency) / self.fit.reading.dynamics.response(frequency)
+        lines = rfft((stretches - stretches.mean(axis=1, keepdims=True)) * taper) * by_force
+        return float(np.sqrt(2 * np.sum(np.abs(lines) ** 2) / (first.size * size * np.sum(taper**2))))
 
     def without(self, shapes: Array) -> KalmanFilter:
         """The filter of the prior that is learned anew, shapes in the readings left out, shape (n, p)."""
