@@ -102,7 +102,17 @@ NO_FINDINGS: Final = GroundFindings()
 
 
 class _Look(NamedTuple):
-    """What a first look at a channel says: its shapes, a large delay, and the force that an untold one makes (c,)."""
+    """What a first look at a channel says.
+
+    Attributes
+    ----------
+    shapes
+        Its shapes; None where it shows nothing.
+    far
+        A delay that is larger than slopes tell, and its shapes.
+    untold
+        What a usual delay and a usual gain that the loads do not tell make of each force, shape (2, c) [N, N*m].
+    """
 
     shapes: ChannelShapes | None = None
     far: tuple[Far, ChannelShapes] | None = None
@@ -128,10 +138,14 @@ def ground_findings(asked: Witnesses) -> dict[str, GroundFindings]:
         found = white.solved(columns, expected=asked.expected)
         hint = Far.of(white, columns[..., 1], samples=asked.recording.samples, pace=shapes.pace)
         late = hint is not None and hint.gained >= asked.promising(shapes.pace)
-        untold = None
-        if found.u[0] > ASSUMED.told * ASSUMED.late:
-            every = zip(asked.all, shapes.felt, strict=True)
-            untold = ASSUMED.late * np.array([one.force_under(felt[:, 0]) for one, felt in every])
+        usual = np.array(
+            [ASSUMED.late, 0.0 if asked.recording.channel(name).relative_uncertainty > 0 else ASSUMED.gain]
+        )
+        usual[found.u[:2] < ASSUMED.told * usual] = 0.0
+        untold = np.zeros((2, len(asked.all)))
+        for number in np.flatnonzero(usual):
+            effects = [one.force_under(felt[:, number]) for one, felt in zip(asked.all, shapes.felt, strict=True)]
+            untold[number] = usual[number] * np.array(effects)
         return _Look(
             asked.with_drift(shapes) if found.explained > asked.worth_a_look else None,
             (hint, shapes) if hint is not None and late else None,
@@ -160,18 +174,26 @@ def _faults(asked: Witnesses, looks: Sequence[_Look]) -> dict[str, list[GroundFa
 
 
 def _assumed(witness: Witness, place: int, untold: Mapping[str, Array]) -> Iterator[Assumption]:
-    """What is assumed of channels that may be late, by what each would make of the forces; small effects are none."""
+    """What is assumed of channels that may be late or read too much; what makes little of the force is left out."""
     least = ASSUMED.matters * float(np.sqrt(np.mean(witness.fit.variance)))
-    effects = {name: float(force[place]) for name, force in untold.items() if force[place] > least}
-    if effects:
-        component = witness.record.dynamics.component
-        unit, effect = si_unit(component), float(np.hypot.reduce(list(effects.values())))
-        text = (
-            f"{' and '.join(effects)} {'are' if len(effects) > 1 else 'is'} read at the instants of the loads, which "
-            f"this record does not tell: {1e3 * ASSUMED.late:g} ms late or early would change the force by "
-            f"{effect:.2g} {unit} rms"
-        )
-        yield Assumption("ground delay", component, text, effect, unit)
+    component = witness.record.dynamics.component
+    unit = si_unit(component)
+    late, gain = f"{1e3 * ASSUMED.late:g} ms late or early", f"{100 * ASSUMED.gain:g} % more or less"
+    read = "read at the instants of the loads"
+    kinds = (
+        ("ground delay", (f"is {read}", f"are {read}"), late),
+        ("ground gain", ("has an exact gain", "have exact gains"), gain),
+    )
+    for number, (kind, words, otherwise) in enumerate(kinds):
+        effects = {name: float(force[number, place]) for name, force in untold.items()}
+        names = [name for name, effect in effects.items() if effect > least]
+        if names:
+            effect = float(np.hypot.reduce([effects[name] for name in names]))
+            text = (
+                f"{' and '.join(names)} {words[len(names) > 1]}, which this record does not tell: {otherwise} would "
+                f"change the force by {effect:.2g} {unit} rms"
+            )
+            yield Assumption(kind, component, text, effect, unit)
 
 
 def _together(asked: Witnesses, suspects: list[ChannelShapes]) -> dict[str, list[GroundFault]]:

@@ -161,8 +161,10 @@ class Witness:
         taper, stretches = hann(size), felt[first[:, None] + np.arange(size)]
         frequency = np.asarray(np.fft.rfftfreq(size, self.fit.reading.interval), dtype=np.float64)
         by_force = passed_by(self.fit, frequency) / self.fit.reading.dynamics.response(frequency)
-        lines = rfft((stretches - stretches.mean(axis=1, keepdims=True)) * taper) * by_force
-        return float(np.sqrt(2 * np.sum(np.abs(lines) ** 2) / (first.size * size * np.sum(taper**2))))
+        slow = stretches.mean(axis=1)
+        lines = rfft((stretches - slow[:, None]) * taper) * by_force
+        power = 2 * float(np.sum(np.abs(lines) ** 2)) / (first.size * size * float(np.sum(taper**2)))
+        return float(np.sqrt(power + np.var(slow)))
 
     def without(self, shapes: Array) -> KalmanFilter:
         """The filter of the prior that is learned anew, shapes in the readings left out, shape (n, p)."""
