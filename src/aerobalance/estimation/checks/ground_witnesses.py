@@ -131,7 +131,7 @@ SHAPES: Final = 3
 """Shapes of a channel: its rate, itself, and its rate growing along the record."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)  # without slots: what is worked out once is kept
 class Witness:
     """A component whose load shows the ground's motion.
 
@@ -155,14 +155,19 @@ class Witness:
         """Balance load under a change of the ground's specific force, shapes (n,) and (n,) or (n, 6)."""
         return self.record.felt_under(SystematicParameter("", "", slope, 0.0))
 
+    @cached_property
+    def passed(self) -> NDArray[np.complex128]:
+        """What the smoother makes of a balance load at the frequencies of a stretch, shape (m,) [1]."""
+        _, size = stretches_in(self.fit.force.size)
+        frequency = np.asarray(np.fft.rfftfreq(size, self.fit.reading.interval), dtype=np.float64)
+        return np.asarray(passed_by(self.fit, frequency) / self.fit.reading.dynamics.response(frequency))
+
     def force_under(self, felt: Array) -> float:
         """Rms of what a balance load, shape (n,), makes of the force, by stretches of it [N]."""
         first, size = stretches_in(felt.size)
         taper, stretches = hann(size), felt[first[:, None] + np.arange(size)]
-        frequency = np.asarray(np.fft.rfftfreq(size, self.fit.reading.interval), dtype=np.float64)
-        by_force = passed_by(self.fit, frequency) / self.fit.reading.dynamics.response(frequency)
         slow = stretches.mean(axis=1)
-        lines = rfft((stretches - slow[:, None]) * taper) * by_force
+        lines = rfft((stretches - slow[:, None]) * taper) * self.passed
         power = 2 * float(np.sum(np.abs(lines) ** 2)) / (first.size * size * float(np.sum(taper**2)))
         return float(np.sqrt(power + np.var(slow)))
 
