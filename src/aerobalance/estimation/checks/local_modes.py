@@ -195,10 +195,11 @@ class MissingMode(NamedTuple):
     u_share: float
 
 
-def missing_mode(seen: Averaged, dynamics: ModalModel) -> MissingMode | None:
+def missing_mode(seen: Averaged, dynamics: ModalModel, *, most: float = SETTINGS.most) -> MissingMode | None:
     """The strongest peak that a further mode explains, and neither a smooth load nor the edge of its band does.
 
-    A narrow band of the load itself looks the same.
+    A narrow band of the load itself looks the same. A mode has a share below `most` of a steady load; in the reading
+    of a decoupled component it may have any, as its row makes of the other components what it does of no force.
     """
     for centre in _peaks(seen, dynamics):
         band = seen.near(centre)
@@ -226,7 +227,7 @@ def missing_mode(seen: Averaged, dynamics: ModalModel) -> MissingMode | None:
         if (
             _likelihood(found) - max(plain.twice_log_likelihood, edge.twice_log_likelihood) > SETTINGS.evidence
             and mode.damping_ratio < SETTINGS.heaviest
-            and abs(mode.share) < SETTINGS.most
+            and abs(mode.share) < most
             and width > seen.resolution
             and inside
         ):
