@@ -195,11 +195,12 @@ class MissingMode(NamedTuple):
     u_share: float
 
 
-def missing_mode(seen: Averaged, dynamics: ModalModel, *, most: float = SETTINGS.most) -> MissingMode | None:
+def missing_mode(seen: Averaged, dynamics: ModalModel, *, largest_share: float = SETTINGS.most) -> MissingMode | None:
     """The strongest peak that a further mode explains, and neither a smooth load nor the edge of its band does.
 
-    A narrow band of the load itself looks the same. A mode has a share below `most` of a steady load; in the reading
-    of a decoupled component it may have any, as its row makes of the other components what it does of no force.
+    A narrow band of the load itself looks the same. A mode has a share below `largest_share` of a steady load; in
+    the reading of a decoupled component it may have any, as its row makes of the other components what it does of no
+    force.
     """
     for centre in _peaks(seen, dynamics):
         band = seen.near(centre)
@@ -227,7 +228,7 @@ def missing_mode(seen: Averaged, dynamics: ModalModel, *, most: float = SETTINGS
         if (
             _likelihood(found) - max(plain.twice_log_likelihood, edge.twice_log_likelihood) > SETTINGS.evidence
             and mode.damping_ratio < SETTINGS.heaviest
-            and abs(mode.share) < most
+            and abs(mode.share) < largest_share
             and width > seen.resolution
             and inside
         ):

@@ -376,7 +376,7 @@ def peaks_of(record: ComponentRecord, *, noise: float, steps: Sequence[Step], li
         return []
     reading, within = seen
     averaged = Averaged.of(without_steps(reading, within), interval=reading.interval, noise=noise)
-    mode = None if averaged is None else missing_mode(averaged, record.dynamics, most=np.inf)
+    mode = None if averaged is None else missing_mode(averaged, record.dynamics, largest_share=np.inf)
     return [] if mode is None else [Peak(record.dynamics.component, mode.mode.natural_frequency, mode.u_frequency)]
 
 
