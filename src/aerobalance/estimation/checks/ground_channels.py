@@ -360,7 +360,7 @@ def _gains_of_delays(white: White, motion: Lines, whole: Lines, *, samples: int)
 
 
 def _peak_of(gains: Array) -> tuple[float, float]:
-    """Place of the maximum of a log-likelihood from the middle, and by its curvature its standard uncertainty."""
+    """Place of the maximum of a log-likelihood, and by its curvature its standard uncertainty."""
     top = int(np.clip(np.argmax(gains), 1, gains.size - 2))
     below = np.flatnonzero(gains < gains[top] - SETTINGS.about_peak)
     first = min(int(below[below < top].max(initial=-1)) + 1, top - 1)
@@ -368,7 +368,7 @@ def _peak_of(gains: Array) -> tuple[float, float]:
     away = np.arange(first, last) - top
     bend, slope, _ = np.polyfit(away, gains[first:last], 2)
     u = 1 / float(np.sqrt(max(-2 * bend, 1e-12)))
-    return top - gains.size // 2 + float(np.clip(slope * u**2, away[0], away[-1])), u
+    return top + float(np.clip(slope * u**2, away[0], away[-1])), u
 
 
 def _far(asked: Witnesses, shapes: ChannelShapes, *, samples: int) -> dict[str, list[GroundFault]] | None:
@@ -393,9 +393,12 @@ def _far(asked: Witnesses, shapes: ChannelShapes, *, samples: int) -> dict[str, 
     motion = white.columns([own[:, None] for own in here])[..., 0]
     whole = white.shown + motion
     # by the likelihood and not by the slope of what is read: that has the slope of the sensor's noise in it
-    delay, u_delay = (
-        h * found for found in _peak_of(_gains_of_delays(white, motion, whole, samples=asked.recording.samples))
-    )
+    gains = _gains_of_delays(white, motion, whole, samples=asked.recording.samples)
+    # within a quarter of a period, beyond which the motion has the other sign
+    middle, quarter = gains.size // 2 + samples, max(int(0.25 / shapes.pace), 2)
+    first = max(middle - quarter, 0)
+    away, u_away = _peak_of(gains[first : middle + quarter + 1])
+    delay, u_delay = h * (first - gains.size // 2 + away), h * u_away
     there = felt(delay)
     found = white.solved(white.columns([own[:, None] for own in there]), whole)
     (gain,), (u_gain,) = found.sizes, found.u
