@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,6 +60,13 @@ SETTINGS: Final = EvidenceSettings()
 """Settings that are used."""
 
 
+class _Narrow(NamedTuple):
+    """Where narrow peaks stand out, shape (m,), among averages that begin at some ordinates, (m,)."""
+
+    edges: NDArray[np.int64]
+    peaks: NDArray[np.bool_]
+
+
 @dataclass(slots=True, eq=False)
 class Evidence:
     """Evidence of dynamics in a reading.
@@ -98,6 +105,7 @@ class Evidence:
     _known: dict[tuple[float, ...], SpectrumFit] = field(default_factory=dict)
     _density: Array | None = None
     _edges: NDArray[np.int64] | None = None
+    _narrow: _Narrow | None = None
 
     def of(self, dynamics: ModalModel) -> float:
         """Logarithm of the likelihood of the reading with dynamics, less the price of the force's spectrum."""
@@ -129,7 +137,9 @@ class Evidence:
         """
         known, others = self._periodogram(own), self._periodogram(other)
         frequency, weight, density = known.frequency, known.weight, known.density
-        peaks = _stands_out(density, frequency, known.count)
+        if self._narrow is None or not np.array_equal(self._narrow.edges, known.edges):
+            self._narrow = _Narrow(known.edges, _stands_out(density, frequency, known.count))
+        peaks = self._narrow.peaks
         inside = np.zeros_like(peaks) if band is None else (frequency >= band[0]) & (frequency <= band[1])
         # a resonance of the others within the band tells of the force there
         mine, theirs = self._beside(own, peaks | inside), self._beside(other, peaks & ~inside)

@@ -26,7 +26,15 @@ from aerobalance.estimation.checks.free_oscillation import (
     gain_beside,
 )
 from aerobalance.estimation.checks.near_resonance import near_resonance
-from aerobalance.estimation.checks.spoken import MOVED, SETTINGS, Spoken, is_line, named, price_of
+from aerobalance.estimation.checks.spoken import (
+    MOVED,
+    SETTINGS,
+    Spoken,
+    gain_over_narrow_loads,
+    is_line,
+    named,
+    price_of,
+)
 from aerobalance.estimation.prior import SpectralPrior
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array
@@ -79,7 +87,8 @@ def spoken_for(
     clear = None
     if best >= SETTINGS.decisive:
         best = max(evidence.of(other) for _, other in tried) - own
-        clear = _clearest(evidence, dynamics, tried, own=own, best=best)
+        if not _of_narrow_loads(evidence, dynamics, tried, own=own, best=best):
+            clear = _clearest(evidence, dynamics, tried, own=own, best=best)
     elif -confirmed >= SETTINGS.open_far and not steps:
         clear = _open_far(Spoken("no resonance", none, -confirmed))
     if evidence.color is not None and color_found and (clear is None or clear.probability < 1):
@@ -145,12 +154,12 @@ def _clearest(
     """
     # whether one resonance has moved or there is one more shows only when each has come to its best
     found = []
-    for kind in dict.fromkeys(kind for kind, _ in tried):
-        start = max((other for name, other in tried if name == kind), key=evidence.of)
-        if evidence.of(start) - own < min(SETTINGS.decisive, best - SETTINGS.decisive):
+    for start in _starts(evidence, tried, own=own, best=best):
+        if start.kind == "no resonance":
+            found.append(start)
             continue
-        other = start if kind == "no resonance" else _best_near(evidence, kind, dynamics, start)
-        found.append(Spoken(kind, other, evidence.of(other) - own - price_of(kind, evidence)))
+        other = _best_near(evidence, start.kind, dynamics, start.dynamics)
+        found.append(start._replace(dynamics=other, gain=evidence.of(other) - own - price_of(start.kind, evidence)))
     spoken = max(found, key=lambda one: one.gain)
     if spoken.kind != "no resonance":
         other = _best_near(evidence, spoken.kind, dynamics, spoken.dynamics, scale=SETTINGS.closer)
@@ -158,6 +167,32 @@ def _clearest(
     if spoken.gain >= SETTINGS.decisive:
         return spoken
     return _open_far(spoken) if spoken.kind == "missing mode" and spoken.gain >= SETTINGS.open_far else None
+
+
+def _starts(evidence: Evidence, tried: Sequence[tuple[str, Dynamics]], *, own: float, best: float) -> list[Spoken]:
+    """The likeliest of each kind of dynamics that were tried, where they come near the best gain."""
+    found = []
+    for kind in dict.fromkeys(kind for kind, _ in tried):
+        start = max((other for name, other in tried if name == kind), key=evidence.of)
+        gain = evidence.of(start) - own
+        if gain >= min(SETTINGS.decisive, best - SETTINGS.decisive):
+            found.append(Spoken(kind, start, gain - price_of(kind, evidence)))
+    return found
+
+
+def _of_narrow_loads(
+    evidence: Evidence, dynamics: Dynamics, tried: Sequence[tuple[str, Dynamics]], *, own: float, best: float
+) -> bool:
+    """Whether a load in narrow bands explains far better what all kinds of other dynamics gain that were tried.
+
+    To bring them to their best takes ten times as long, and changes nothing of that.
+    """
+    starts = sorted(_starts(evidence, tried, own=own, best=best), key=lambda one: -one.gain)
+    return starts[0].kind != "no resonance" and all(
+        gain_over_narrow_loads(one.kind, evidence, dynamics, one.dynamics) < SETTINGS.band_at_first
+        for one in starts
+        if one.kind != "no resonance"
+    )
 
 
 def _without_color(
@@ -193,6 +228,8 @@ def _beside(
     Nothing is paid for their two numbers: a resonance is looked for where one is known to be.
     """
     if not evidence.may_gain(near, dynamics, 0.0) or evidence.of(near) - own < SETTINGS.worth_a_look:
+        return None
+    if gain_over_narrow_loads("natural frequency", evidence, dynamics, near) < SETTINGS.band_at_first:
         return None
     other = _best_near(evidence, "natural frequency", dynamics, near)
     gain = evidence.of(other) - own
