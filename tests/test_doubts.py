@@ -16,7 +16,7 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.evidence import Evidence
 from aerobalance.estimation.checks.mains_hum import hum_doubts
-from aerobalance.estimation.checks.moved_modes import Moved
+from aerobalance.estimation.checks.moved_dynamics import Moved
 from aerobalance.estimation.checks.resolution import resolution_doubt, rounding_error
 from aerobalance.estimation.checks.resonance_change import ResonanceChange, resonance_changes
 from aerobalance.estimation.checks.resonance_change import _told as change_told

@@ -13,8 +13,10 @@ from scipy.optimize import minimize_scalar
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.estimation.applied_force import Force
-from aerobalance.estimation.checks.moved_modes import Moved, gain_apart
-from aerobalance.estimation.checks.ringing import RingingSpectra, Rows
+from aerobalance.estimation.checks.channel_rows import Rows
+from aerobalance.estimation.checks.moved_dynamics import Moved
+from aerobalance.estimation.checks.moved_modes import gain_apart
+from aerobalance.estimation.checks.ringing import RingingSpectra
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.spectra.periodogram import HANN_BANDWIDTH
 from aerobalance.estimation.spectra.steady_tones import without_tones

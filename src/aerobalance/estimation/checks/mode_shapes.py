@@ -18,10 +18,11 @@ import numpy as np
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.assumptions import SETTINGS as ASSUMED
+from aerobalance.estimation.checks.channel_rows import Rows, powers_of
 from aerobalance.estimation.checks.model_error import LEFT_OPEN, as_noise
+from aerobalance.estimation.checks.moved_dynamics import Moved
 from aerobalance.estimation.checks.moved_modes import SETTINGS as MOVED
 from aerobalance.estimation.checks.moved_modes import (
-    Moved,
     OtherShapes,
     contradicted,
     gain_of,
@@ -30,7 +31,7 @@ from aerobalance.estimation.checks.moved_modes import (
     one_moved,
 )
 from aerobalance.estimation.checks.resonance import gain_in_white_noise
-from aerobalance.estimation.checks.ringing import RingingSpectra, Rows, most_samples, powers_of
+from aerobalance.estimation.checks.ringing import RingingSpectra, most_samples
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.prior import Observation
 from aerobalance.estimation.result import ComponentForce, with_errors

@@ -8,20 +8,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache, partial
-from itertools import product
+from functools import partial
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import minimize
 from scipy.special import expit
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.estimation.checks.changing_resonance import calm_stretch
+from aerobalance.estimation.checks.channel_rows import Rows
 from aerobalance.estimation.checks.evidence import evidence_in
+from aerobalance.estimation.checks.moved_dynamics import Moved
+from aerobalance.estimation.checks.narrow_load import gain_over_loads
 from aerobalance.estimation.checks.near_resonance import near_resonance
-from aerobalance.estimation.checks.ringing import RingingSpectra, Rows, most_samples
+from aerobalance.estimation.checks.ringing import RingingSpectra, most_samples
 from aerobalance.estimation.checks.spoken import SETTINGS as RESONANCE
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.prior import Observation
@@ -55,15 +56,10 @@ class MovedModeSettings:
         Dynamics that are tried at most to come closer to the best.
     farthest
         Logarithm of the largest change of a frequency and of a damping ratio that is looked for, either way.
-    broad
-        Damping ratio from which on a mode that was not known with half as much no longer rings: what is likelier
-        with it is a spectrum of the load and no motion of the balance.
     against
         Loss in log-likelihood in bands that modes which have moved make less likely, over the gain in the others, from
         which on they are not believed: of modes that have moved by 3 % it is 0.1 to 0.15, where a record has power far
         above its modes that no force makes 0.45 and more.
-    narrow
-        Factor of the damping ratio below which a mode is a tone of the load.
     as_expected
         Changes of the logarithms of natural frequency, over the damping ratio, and of damping ratio below which the
         resonance of a reading is the one that is expected: no finer than it is looked for.
@@ -88,10 +84,6 @@ class MovedModeSettings:
         whose modes have not moved, 48 of them with a narrow band beside a mode and 280 with noise of a color, two were
         above zero, by 1.3 and 2.8; of 56 with one mode moved by 2 to 7 %, 46 were at 4 and above, and one below zero.
         Of 16 with one moved by 3 % that no other speaks for, 4 were above 4, and 5 between -0.4 and -3.
-    load_places, loads, load_orders, load_tries, load_fine, load_ends
-        Logarithms of the frequency of such a load over the mode's, its widths and densities over the flat one beside
-        it, and the orders by which it falls, which are tried; how often it is looked at closer, the logarithm of
-        frequency of a step of that, and the ends of the logarithms of width and density.
     told, told_damping
         Changes of the logarithms of a natural frequency and a damping ratio from which they are told.
     """
@@ -107,9 +99,7 @@ class MovedModeSettings:
     dampings: tuple[float, ...] = (0.4, 2.5)
     tries: int = 40
     farthest: tuple[float, float] = (2.0, 12.0)
-    broad: float = 0.1
     against: float = 0.3
-    narrow: float = 0.1
     as_expected: tuple[float, float] = (0.4, 0.5)
     as_damped: float = 1.0
     alone_about: float = 0.25
@@ -120,81 +110,12 @@ class MovedModeSettings:
     alone_open_from: float = -6.0
     alone_half: float = -3.0
     alone_decisive: float = 4.0
-    load_places: tuple[float, ...] = tuple(0.01 * place for place in range(-9, 10))
-    loads: tuple[tuple[float, float], ...] = ((0.015, 30.0), (0.04, 10.0), (0.01, 300.0))
-    load_orders: tuple[int, ...] = (1, 4)
-    load_tries: int = 50
-    load_fine: float = 0.01
-    load_ends: tuple[float, float] = (-10.0, 20.0)
     told: float = 0.001
     told_damping: float = 0.3
 
 
 SETTINGS: Final = MovedModeSettings()
 """Settings that are used."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Moved:
-    """Modes of coupled dynamics, some of them moved.
-
-    Attributes
-    ----------
-    dynamics
-        The dynamics.
-    changes
-        Logarithms of the factors of natural frequency and damping ratio of every mode, shape (modes, 2).
-    """
-
-    dynamics: CoupledDynamics
-    changes: Array
-
-    @classmethod
-    def none(cls, dynamics: CoupledDynamics) -> Moved:
-        """All where they are."""
-        return cls(dynamics, np.zeros((len(dynamics.modes), 2)))
-
-    def by(self, place: int | slice, change: Array) -> Moved:
-        """The same with one mode, or all, moved further, by shape (2,)."""
-        changes = self.changes.copy()
-        changes[place] += change
-        return replace(self, changes=changes)
-
-    @property
-    def ringing(self) -> NDArray[np.bool_]:
-        """Whether each mode rings as a balance may, and was not found without resonance or damping, shape (modes,)."""
-        before = np.array([mode.damping_ratio for mode in self.dynamics.modes])
-        now = before * np.exp(self.changes[:, 1])
-        return np.asarray((now > SETTINGS.narrow * before) & (now < np.maximum(SETTINGS.broad, 2 * before)))
-
-    @property
-    def moved(self) -> CoupledDynamics:
-        """Dynamics whose modes are those, in shapes as they were."""
-        poles, shapes = _oscillations(self.dynamics)
-        size = len(shapes)
-        frequency = np.abs(poles) * np.exp(self.changes[:, 0])
-        ratio = np.minimum(-poles.real / np.abs(poles) * np.exp(self.changes[:, 1]), 0.99)
-        found = frequency * (-ratio + 1j * np.sqrt(1 - ratio**2))
-        both, found = np.hstack([shapes, shapes.conj()]), np.concatenate([found, found.conj()])
-        # x'' = -A^-1 (x + D x') for every mode
-        forward = np.real((both * found**2) @ np.linalg.inv(np.vstack([both, both * found])))
-        inertia = -np.linalg.inv(forward[:, :size])
-        return replace(self.dynamics, inertia=inertia, damping=-inertia @ forward[:, size:])
-
-    @property
-    def rows(self) -> Rows:
-        """Their rows."""
-        dynamics = self.moved
-        return Rows(np.stack([np.eye(len(dynamics.inertia)), dynamics.damping, dynamics.inertia], axis=-1))
-
-
-@lru_cache(maxsize=4)  # a hundred changes are tried of the same dynamics
-def _oscillations(dynamics: CoupledDynamics) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
-    """Poles of the modes, by size, one of each pair, shape (modes,) [rad/s], and their shapes, (n, modes)."""
-    poles, shapes, _ = dynamics.modal_form
-    up = np.flatnonzero(poles.imag > 0)
-    up = up[np.argsort(np.abs(poles[up]))]
-    return poles[up], shapes[:, up]
 
 
 Evidence = Callable[[Moved], Array]
@@ -371,58 +292,15 @@ def moved_alone(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherShap
         clear = resolved and float(np.mean((about.shown & about.clear)[between])) >= SETTINGS.alone_clear
         if not clear or abs(damping) >= SETTINGS.as_damped or gain_of_one(moved) < SETTINGS.alone_least:
             continue
-        gain = gain_of_one(moved) if about.together else _gain_over_loads(about, moved, mode.natural_frequency)
+        gain = (
+            gain_of_one(moved)
+            if about.together
+            else gain_over_loads(about, moved.rows, mode.natural_frequency, least=SETTINGS.alone_open_from)
+        )
         if gain >= SETTINGS.alone_open_from:
             likely = 1.0 if gain >= SETTINGS.alone_decisive else float(expit(gain - SETTINGS.alone_half))
             found.append(OtherShapes("natural frequency", (), moved.rows, gain, moved, likely))
     return max(found, key=lambda one: one.gain, default=None)
-
-
-def _gain_over_loads(about: RingingSpectra, moved: Moved, frequency: float) -> float:
-    """Gain in log-likelihood of a mode that has moved, over loads that look like one near a frequency [Hz].
-
-    That are a narrow band of one load, noise with a color, and one load in several forces, as a gust or a release.
-    """
-    loaded = _with_a_narrow_load(about, frequency)
-    gain = float(np.sum(about.evidence_apart(moved.rows) - loaded.evidence_apart(about.own)))
-    if gain < SETTINGS.alone_open_from:
-        return gain
-    colored = about.evidence_with_color(moved.rows) - loaded.evidence_with_color(about.own)
-    together = about.evidence_together(moved.rows) - about.evidence_together(about.own)
-    return min(gain, float(np.sum(colored)), float(np.sum(together)))
-
-
-def _with_a_narrow_load(about: RingingSpectra, frequency: float) -> RingingSpectra:
-    """The same with a narrow band of one load near a frequency [Hz], where it is likeliest by place, width and size.
-
-    It swings as a resonance does, or has edges: the density falls as a Butterworth filter's, of some order.
-    """
-    volume, away = about.determinant(about.own), np.log(about.frequency / frequency)
-
-    def loaded(point: Array, component: int, order: int) -> RingingSpectra:
-        shift, width, size = point[0], *np.exp(np.clip(point[1:], *SETTINGS.load_ends))
-        gains = about.gain.copy()
-        gains[component] *= 1 + size / (1 + np.minimum(np.abs(2 * (away - shift) / width), 1e6) ** (2 * order))
-        return replace(about, gain=gains)
-
-    def lost(point: Array, component: int, order: int) -> float:
-        return -float(np.sum(loaded(point, component, order).evidence_apart(about.own, determinant=volume)))
-
-    tried = [np.array([at, *np.log(load)]) for at in SETTINGS.load_places for load in SETTINGS.loads]
-    simplex = np.vstack([np.zeros(3), np.diag([SETTINGS.load_fine, 1.0, 1.0])])
-    least, best = -float(np.sum(about.evidence_apart(about.own, determinant=volume))), about
-    for component, order in product(range(len(about.noise)), SETTINGS.load_orders):
-        losses = [lost(point, component, order) for point in tried]
-        start = tried[int(np.argmin(losses))]
-        found = minimize(
-            partial(lost, component=component, order=order),
-            start,
-            method="Nelder-Mead",
-            options={"maxfev": SETTINGS.load_tries, "initial_simplex": start + simplex},
-        )
-        if float(found.fun) < least:
-            least, best = float(found.fun), loaded(found.x, component, order)
-    return best
 
 
 def one_moved(
@@ -481,7 +359,10 @@ def one_moved(
         return None
     frequency = dynamics.modes[place].natural_frequency
     about = ringing.near(frequency, within=SETTINGS.alone_about)
-    if about is None or _gain_over_loads(about, moved, frequency) < SETTINGS.alone_open_from:
+    if about is None:
+        return None
+    least = SETTINGS.alone_open_from
+    if gain_over_loads(about, moved.rows, frequency, least=least) < least:
         return None
     likely = float(expit(RESONANCE.open_steepness * (gain - RESONANCE.open_half)))
     return OtherShapes(

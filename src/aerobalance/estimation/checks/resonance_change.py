@@ -18,7 +18,7 @@ from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.evidence import SETTINGS as EVIDENCE
 from aerobalance.estimation.checks.evidence import Evidence
-from aerobalance.estimation.checks.moved_modes import Moved
+from aerobalance.estimation.checks.moved_dynamics import Moved
 from aerobalance.estimation.checks.ringing import RingingSpectra
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.record import ComponentRecord

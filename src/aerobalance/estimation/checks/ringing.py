@@ -28,10 +28,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.dynamics.condensation import partial_fractions
-from aerobalance.dynamics.decoupling import DecoupledChannel
-from aerobalance.dynamics.driven_modes import values_and_rates
 from aerobalance.estimation.checks._kernels import ForceLines, likeliest_levels, likeliest_levels_and_noise
+from aerobalance.estimation.checks.channel_rows import Rows, powers_of, product_of_modes
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.spectra._kernels import Search
@@ -99,60 +97,6 @@ AKAIKE: Final = 1.0
 
 SMOOTHED: Final = 3
 """Ordinates over which the power about one is averaged: a main lobe."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """What turns the balance loads into the forces: polynomials in s over a common one, shape (n, n, p).
-
-    Attributes
-    ----------
-    forces
-        Row i has what component i takes of every channel; powers of s rise along the last axis.
-    """
-
-    forces: Array
-
-    def at(self, frequency: Array) -> NDArray[np.complex128]:
-        """Their values at frequencies of shape (m,) [Hz], shape (m, n, n)."""
-        w, powers = 2 * np.pi * frequency[:, None, None], np.moveaxis(self.forces, -1, 0)
-        # even powers of s are real, odd ones imaginary: real products alone
-        found = np.empty((frequency.size, *self.forces.shape[:2]), complex)
-        found.real, found.imag = _horner(powers[::2], -(w**2)), w * _horner(powers[1::2], -(w**2))
-        return found
-
-    def determinant(self, frequency: Array) -> Array:
-        """Logarithm of their squared determinant at frequencies of shape (m,) [Hz], shape (m,).
-
-        With P_0 + P_1 s + ... for the rows, det(1 + P_0^-1 P_1 s + ...) = prod(1 - s / s_i): 1 / s_i are the
-        eigenvalues of the companion matrix, in the first row of which are -P_0^-1 P_k.
-        """
-        scale = 2 * np.pi * float(frequency[-1])
-        along = 2 * np.pi * frequency / scale
-        first, *others = np.moveaxis(self.forces, -1, 0)
-        size = len(first)
-        companion = np.eye(len(others) * size, k=-size)
-        for place, power in enumerate(others):
-            companion[:size, place * size : (place + 1) * size] = -np.linalg.solve(first, power * scale ** (place + 1))
-        product, square = np.full(frequency.size, np.linalg.det(first) ** 2), along**2
-        for one in np.linalg.eigvals(companion):
-            if one.imag > 0:  # |1 - s / s_i|^2 of a pair
-                factor = 1 - float(abs(one)) ** 2 * square
-                factor *= factor
-                factor += (4 * one.real**2) * square
-                product *= factor
-            elif not one.imag:
-                product *= 1 + one.real**2 * square
-        return np.asarray(np.log(product))
-
-    def with_signs(self, signs: Array) -> Rows:
-        """The same for channels of other signs, shape (n,)."""
-        return Rows(self.forces * np.outer(signs, signs)[..., None])
-
-    def reordered(self, order: NDArray[np.intp]) -> Rows:
-        """The same for channels that hold what others should."""
-        back = np.argsort(order)
-        return Rows(self.forces[np.ix_(back, back)])
 
 
 def most_samples(record: CoupledRecord) -> int:
@@ -225,7 +169,7 @@ class RingingSpectra:
         for one, own in zip(record.decoupled, lines, strict=True):
             powers = powers_of(one, loads, interval=interval)
             seen = Periodogram.of(loads[:, one.place], one.dynamics, interval=interval)
-            product = _product_of_modes(one, seen.ordinates[0, : last - 2])
+            product = product_of_modes(one, seen.ordinates[0, : last - 2])
             driven = np.fft.rfft(powers * window)
             forces.append(np.abs(np.einsum("pjm,jp->m", driven, one.row, optimize=True)) ** 2)
             np.multiply(driven[..., inside], product, out=own)
@@ -448,16 +392,6 @@ class RingingSpectra:
         return np.asarray(rows.determinant(places).reshape(-1, SETTINGS.fine).mean(axis=1))
 
 
-def _horner(coefficients: Array, at: Array) -> Array:
-    """Polynomials with rising powers along the first axis, at numbers of shape (m, 1, 1), shape (m, n, n)."""
-    found = np.zeros(np.broadcast_shapes(at.shape, coefficients.shape[1:]))
-    for place, one in enumerate(coefficients[::-1]):
-        if place:
-            found *= at
-        found += one
-    return found
-
-
 def _own(power: Array) -> NDArray[np.bool_]:
     """Whether the power of several series about each ordinate, (n, m), is its own and not leaked from others, (m,)."""
     away = np.arange(-LOBES, LOBES + 1, dtype=np.float64)
@@ -486,22 +420,3 @@ def _bands(count: int) -> NDArray[np.intp]:
         first.append(place)
         place += max(SETTINGS.fewest, round(SETTINGS.width * place))
     return np.array(first[:-1] if len(first) > 1 and count - first[-1] < SETTINGS.fewest else first, dtype=np.intp)
-
-
-def _product_of_modes(one: DecoupledChannel, frequency: Array) -> NDArray[np.complex128]:
-    s, whole = 2j * np.pi * frequency, np.ones(frequency.size, dtype=np.complex128)
-    for mode in one.dynamics.modes:
-        w = mode.angular_frequency
-        whole = whole * (1 + 2 * mode.damping_ratio * s / w + (s / w) ** 2)
-    return whole
-
-
-def powers_of(one: DecoupledChannel, loads: Array, *, interval: float) -> Array:
-    """All powers of s over the modes of a decoupled component, driven by every channel, shape (p, n, samples)."""
-    count = one.row.shape[1]
-    direct, by_value, by_rate = partial_fractions(np.eye(count), one.dynamics.modes)
-    found = direct[:, None, None] * np.ascontiguousarray(loads.T)
-    for place, mode in enumerate(one.dynamics.modes):
-        value, rate = values_and_rates(mode, loads, interval=interval)
-        found += by_value[:, place, None, None] * value + by_rate[:, place, None, None] * rate
-    return np.asarray(found)
