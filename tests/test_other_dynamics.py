@@ -12,17 +12,9 @@ import pytest
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks import other_dynamics, resonance
+from aerobalance.estimation.checks.averaged_spectrum import INDEPENDENT, REACH, Averaged, smeared
 from aerobalance.estimation.checks.evidence import Evidence
-from aerobalance.estimation.checks.local_modes import (
-    SETTINGS,
-    Averaged,
-    _fit,
-    _fixed,
-    _most_likely,
-    missing_mode,
-    own_resonance,
-    smeared,
-)
+from aerobalance.estimation.checks.local_modes import _fit, _fixed, _most_likely, missing_mode, own_resonance
 from aerobalance.estimation.checks.model_error import LEFT_OPEN, error_under
 from aerobalance.estimation.checks.near_resonance import near_resonance
 from aerobalance.estimation.checks.other_dynamics import OtherDynamics, _if_changed, other_dynamics_in, without_steps
@@ -345,7 +337,7 @@ def test_smearing_is_that_of_the_window(rng):
     size = 2 * (seen.frequency.size - 1)
     middle = band[band.size // 2]
     line = np.zeros(seen.fine(band).size)
-    line[2 * (band.size // 2 + SETTINGS.reach)] = 1.0
+    line[2 * (band.size // 2 + REACH)] = 1.0
     # the window's own spectrum about a line in the middle of the band, by the transform
     window = np.hanning(size + 1)[:-1]
     wave = np.exp(2j * np.pi * middle * np.arange(size) / size)
@@ -653,7 +645,7 @@ def test_no_model_is_likelier_than_one_that_expects_what_is_read(rng):
         band = seen.near(centre)
         plain = _fit(seen, band, _fixed(T128), start=np.zeros(0), scale=np.zeros(0))
         readings = seen.power[band]
-        weight = seen.averages * SETTINGS.independent
+        weight = seen.averages * INDEPENDENT
         assert _most_likely(seen, band) == pytest.approx(-2 * weight * np.sum(np.log(readings) + readings / readings))
         assert plain.twice_log_likelihood < _most_likely(seen, band)
 

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from aerobalance.dynamics.modal import ModalModel, Mode
+from aerobalance.estimation.checks.averaged_spectrum import BAND, INDEPENDENT, REACH, Averaged, smeared, unsmeared
 from aerobalance.recording.channel import Array
 
 
@@ -31,17 +32,6 @@ class LocalModeSettings:
 
     Attributes
     ----------
-    parts
-        Parts of the record whose periodograms are averaged; they overlap by half.
-    fewest_samples
-        Samples below which a record's spectrum tells no resonance from chance.
-    independent
-        Independent ordinates per ordinate of a Hann periodogram, over the 11/18 by which half overlap thins the
-        average.
-    band
-        Half width of the band in which the force's spectrum is taken for a power of frequency, over its centre.
-    reach
-        Ordinates over which the window smears a line.
     chance
         Standard deviations of an ordinate, in the logarithm, by which a peak that is looked at stands out.
     evidence
@@ -63,11 +53,6 @@ class LocalModeSettings:
         Part of a search step over which slopes of a response are taken.
     """
 
-    parts: int = 8
-    fewest_samples: int = 4096
-    independent: float = 0.53
-    band: float = 0.25
-    reach: int = 12
     chance: float = 4.5
     evidence: float = 60.0
     likely: float = 0.008
@@ -82,95 +67,6 @@ class LocalModeSettings:
 
 SETTINGS: Final = LocalModeSettings()
 """Thresholds that are used."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Averaged:
-    """Averaged Hann periodogram of a reading.
-
-    Attributes
-    ----------
-    power
-        Two-sided density at `frequency`, shape (m,) [N^2/Hz].
-    frequency
-        From 0 to half the sampling rate, shape (m,) [Hz].
-    averages
-        Independent periodograms in the average.
-    noise
-        Density of the reading's noise [N^2/Hz].
-    """
-
-    power: Array
-    frequency: Array
-    averages: float
-    noise: float
-
-    @classmethod
-    def of(cls, values: Array, *, interval: float, noise: float) -> Averaged | None:
-        """Average over the parts of a record without gaps, or None where it is too short."""
-        if values.size < SETTINGS.fewest_samples:
-            return None
-        size = 2 * values.size // (SETTINGS.parts + 1) // 2 * 2
-        window = np.hanning(size + 1)[:-1]
-        starts = range(0, values.size - size + 1, size // 2)
-        ordinates = [
-            np.abs(np.fft.rfft(window * (part - part.mean()))) ** 2
-            for part in (values[start : start + size] for start in starts)
-        ]
-        power: Array = np.mean(ordinates, axis=0) * (interval / float(window @ window))
-        averages = len(ordinates) * 18 / 11 / 2 if len(ordinates) > 1 else 1.0
-        return cls(power, np.arange(power.size) / (size * interval), averages, noise**2 * interval)
-
-    @property
-    def resolution(self) -> float:
-        """Distance of the ordinates [Hz]."""
-        return float(self.frequency[1])
-
-    def fine(self, band: NDArray[np.intp]) -> Array:
-        """Frequencies at half the distance, from `SETTINGS.reach` ordinates below a band to as many above it [Hz]."""
-        first, last = (
-            2 * int(band[place]) + shift for place, shift in ((0, -2 * SETTINGS.reach), (-1, 2 * SETTINGS.reach))
-        )
-        return np.abs(np.arange(first, last + 1)) * self.resolution / 2
-
-    def near(self, centre: float) -> NDArray[np.intp]:
-        """Places of the ordinates within the band about a frequency; not the lowest, from which the mean is taken."""
-        lowest, highest = max((1 - SETTINGS.band) * centre, 4 * self.resolution), (1 + SETTINGS.band) * centre
-        return np.flatnonzero((self.frequency >= lowest) & (self.frequency <= highest))
-
-
-def smeared(density: Array) -> Array:
-    """A density at `Averaged.fine` as the Hann window shows it at the ordinates of the band.
-
-    Beyond `SETTINGS.reach` ordinates the window passes less than 1e-6 of a line's power.
-    """
-    # whole ordinates away the window passes nothing but at the next ones; half of them away it has its side lobes
-    whole = density[_MAIN.start : density.size - _MAIN.start : 2]
-    next_, own = _LOBE[_MAIN]
-    between = np.convolve(density[1::2], _LOBE[1::2], mode="valid")
-    return np.asarray(between + own * whole[1:-1] + next_ * (whole[:-2] + whole[2:]))
-
-
-def _unsmeared(slopes: Array) -> Array:
-    """Slopes by a density at `Averaged.fine`, of what has slopes by what `smeared` makes of that density."""
-    found = np.zeros(2 * slopes.size - 1 + 4 * SETTINGS.reach)
-    found[1::2] = np.convolve(slopes, _LOBE[1::2])
-    whole = found[_MAIN.start : found.size - _MAIN.start : 2]
-    next_, own = _LOBE[_MAIN]
-    whole[1:-1] += own * slopes
-    whole[:-2] += next_ * slopes
-    whole[2:] += next_ * slopes
-    return found
-
-
-def _lobe() -> Array:
-    place = np.arange(-2 * SETTINGS.reach, 2 * SETTINGS.reach + 1) / 2
-    power = (np.sinc(place) + 0.5 * np.sinc(place - 1) + 0.5 * np.sinc(place + 1)) ** 2
-    return np.asarray(power / power.sum())
-
-
-_LOBE: Final = _lobe()
-_MAIN: Final = slice(2 * SETTINGS.reach - 2, 2 * SETTINGS.reach + 1, 2)
 
 
 Power: TypeAlias = Callable[[Array], Callable[[Array], Array]]
@@ -224,7 +120,7 @@ def missing_mode(seen: Averaged, dynamics: ModalModel, *, largest_share: float =
         found = max(either, key=_likelihood)
         mode = found.mode
         width = 2 * mode.damping_ratio * mode.natural_frequency
-        inside = abs(mode.natural_frequency / centre - 1) < SETTINGS.band / 2
+        inside = abs(mode.natural_frequency / centre - 1) < BAND / 2
         if (
             _likelihood(found) - max(plain.twice_log_likelihood, edge.twice_log_likelihood) > SETTINGS.evidence
             and mode.damping_ratio < SETTINGS.heaviest
@@ -238,7 +134,7 @@ def missing_mode(seen: Averaged, dynamics: ModalModel, *, largest_share: float =
 
 def _most_likely(seen: Averaged, band: NDArray[np.intp]) -> float:
     """Twice the log-likelihood that no model exceeds: that of one which expects what is read, ordinate by ordinate."""
-    return -2 * seen.averages * SETTINGS.independent * float(np.sum(np.log(np.maximum(seen.power[band], 1e-300)) + 1))
+    return -2 * seen.averages * INDEPENDENT * float(np.sum(np.log(np.maximum(seen.power[band], 1e-300)) + 1))
 
 
 class _FurtherMode(NamedTuple):
@@ -338,13 +234,13 @@ def _steepest(seen: Averaged, band: NDArray[np.intp], dynamics: ModalModel, *, b
     level = np.log(np.maximum(seen.power[band] / _power(dynamics, seen.frequency[band]), 1e-300))
     total = np.concatenate([[0.0], np.cumsum(level)])
     # between neighbours of so many ordinates, and near the ends of the band of what there is up to the end
-    places = np.arange(SETTINGS.reach // 4, level.size - SETTINGS.reach // 4)
-    if places.size < SETTINGS.reach:
+    places = np.arange(REACH // 4, level.size - REACH // 4)
+    if places.size < REACH:
         return []
-    before, behind = np.minimum(places, SETTINGS.reach), np.minimum(level.size - places, SETTINGS.reach)
+    before, behind = np.minimum(places, REACH), np.minimum(level.size - places, REACH)
     change = (total[places + behind] - total[places]) / behind - (total[places] - total[places - before]) / before
     between = seen.frequency[band] - seen.resolution / 2
-    change[np.abs(between[places] - beside) < 2 * SETTINGS.reach * seen.resolution] = 0.0
+    change[np.abs(between[places] - beside) < 2 * REACH * seen.resolution] = 0.0
     return [np.array([between[places[one]], change[one]]) for one in (np.argmin(change), np.argmax(change))]
 
 
@@ -410,7 +306,7 @@ def own_resonance(seen: Averaged, dynamics: ModalModel) -> tuple[Array, Array, f
     found = _fit(seen, band, lambda f: lambda point: _power(changed(point), f), start=np.zeros(2), scale=scale)
     moved, ratio = np.exp(np.clip(found.point, -700, 700)) * (1.0, dynamics.damping_ratio)
     if (
-        found.lack_of_fit > SETTINGS.lack_of_fit or abs(moved - 1) > SETTINGS.band or ratio >= 1
+        found.lack_of_fit > SETTINGS.lack_of_fit or abs(moved - 1) > BAND or ratio >= 1
     ):  # beyond the band, or no resonance: not told
         return None
     return found.point, found.covariance, found.twice_log_likelihood - plain.twice_log_likelihood
@@ -421,7 +317,7 @@ def _peaks(seen: Averaged, dynamics: ModalModel) -> list[float]:
     from scipy.ndimage import median_filter  # noqa: PLC0415 - takes 30 ms, and few records need it
 
     count = seen.power.size
-    width = np.clip((SETTINGS.band * np.arange(count)).astype(int), 12, None)
+    width = np.clip((BAND * np.arange(count)).astype(int), 12, None)
     level = np.log(np.maximum(seen.power, 1e-300))
     surroundings = np.empty(count)
     edge = 12
@@ -449,7 +345,7 @@ def _fit(seen: Averaged, band: NDArray[np.intp], power: Power, *, start: Array, 
     frequency = seen.fine(band)
     log_ratio = np.clip(np.log(np.maximum(frequency, seen.resolution) / centre), -1, 1)
     transfer, ones = power(frequency), np.ones(frequency.size)
-    weight = seen.averages * SETTINGS.independent
+    weight = seen.averages * INDEPENDENT
 
     def load(point: Array) -> tuple[Array, Array]:
         """The square of the response, and the density of the force."""
@@ -476,7 +372,7 @@ def _fit(seen: Averaged, band: NDArray[np.intp], power: Power, *, start: Array, 
                 level = smeared(response * force) + seen.noise
                 if not (level > 0).all():
                     return impossible
-                felt = _unsmeared(weight * (1 - readings / level) / level) * force
+                felt = unsmeared(weight * (1 - readings / level) / level) * force
                 slopes = np.empty(point.size)
                 for place in range(start.size):
                     beside = point[: start.size].copy()
@@ -497,5 +393,5 @@ def _fit(seen: Averaged, band: NDArray[np.intp], power: Power, *, start: Array, 
     )  # fmt: skip
     covariance = np.linalg.pinv(weight * slopes.T @ slopes)
     ratio = seen.power[band] / shown
-    lack_of_fit = float(np.mean((ratio - 1) ** 2) * seen.averages - 1) * np.sqrt(band.size * SETTINGS.independent / 2)
+    lack_of_fit = float(np.mean((ratio - 1) ** 2) * seen.averages - 1) * np.sqrt(band.size * INDEPENDENT / 2)
     return _LocalFit(point[: start.size], covariance[: start.size, : start.size], -2 * float(found.fun), lack_of_fit)

@@ -16,9 +16,10 @@ import numpy as np
 
 from aerobalance.dynamics.modal import ModalModel, Mode
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.checks.averaged_spectrum import Averaged
 from aerobalance.estimation.checks.changing_resonance import changes_along, stretches_of
 from aerobalance.estimation.checks.evidence import Evidence
-from aerobalance.estimation.checks.local_modes import Averaged, missing_mode, own_resonance
+from aerobalance.estimation.checks.local_modes import missing_mode, own_resonance
 from aerobalance.estimation.checks.peaks import Peak
 from aerobalance.estimation.checks.resonance import left_open, spoken_for
 from aerobalance.estimation.checks.spoken import Spoken
