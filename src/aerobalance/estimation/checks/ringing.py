@@ -293,14 +293,23 @@ class RingingSpectra:
         determinant
             What `determinant` gives of them, where it is known.
         """
-        whole, root = rows.at(self.frequency), np.sqrt(self.gain.T)
-        lines = self.readings(rows).T / root
+        found, told = np.zeros(self.bands.size), self.shown[self.bands]  # a band is shown, or nothing of it
+        if told.any():
+            found[told] = self._together_where_shown(rows, told)
+        return self._less_volume(found, rows, self.shown, determinant)
+
+    def _together_where_shown(self, rows: Rows, told: NDArray[np.bool_]) -> Array:
+        """Log-likelihood of lines of the forces in the bands that are told, one load in several of them, (told,)."""
+        widths = np.diff(np.append(self.bands, self.frequency.size))
+        here, widths = np.repeat(told, widths), widths[told]
+        bands = np.cumsum(widths) - widths
+        gain, frequency = self.gain[:, here].T, self.frequency[here]
+        whole, root = rows.at(frequency), np.sqrt(gain)
+        lines = self.readings(rows).T[here] / root
         noise = np.einsum("mij,j,mkj->mik", whole, self.noise, whole.conj(), optimize=True)
         noise /= root[:, :, None] * root[:, None, :]
-        told = self.shown[:, None, None]
-        number = np.maximum(np.add.reduceat(self.shown, self.bands, dtype=int), 1)[:, None, None]
-        widths = np.diff(np.append(self.bands, self.frequency.size))
-        covariance = np.add.reduceat(told * lines[:, :, None] * lines[:, None, :].conj(), self.bands) / number
+        number = widths[:, None, None]
+        covariance = np.add.reduceat(lines[:, :, None] * lines[:, None, :].conj(), bands) / number
         # forces and moments in units that are alike
         size = np.sqrt(np.einsum("bii->i", covariance).real + 1e-300)
         lines, noise = lines / size, noise / np.outer(size, size)
@@ -312,11 +321,11 @@ class RingingSpectra:
             passed = forces @ whole_of
             likeliest = (passed @ lines[..., None])[..., 0]
             found = likeliest[:, :, None] * likeliest[:, None, :].conj() + forces - passed @ forces
-            covariance = np.add.reduceat(told * found, self.bands) / number
+            covariance = np.add.reduceat(found, bands) / number
         spent = np.einsum("mi,mij,mj->m", lines.conj(), whole_of, lines, optimize=True).real
         spent -= np.linalg.slogdet(whole_of)[1]
-        spent += 2 * float(np.sum(np.log(size))) + np.log(self.gain).sum(axis=0)
-        return self._less_volume(-np.add.reduceat(spent * self.shown, self.bands), rows, self.shown, determinant)
+        spent += 2 * float(np.sum(np.log(size))) + np.log(gain).sum(axis=1)
+        return np.asarray(-np.add.reduceat(spent, bands))
 
     def evidence(self, rows: Rows, *, determinant: Array | None = None) -> Array:
         """Logarithm of the likelihood in every band of loads of any kind, shape (bands,).
