@@ -168,6 +168,7 @@ def test_a_smooth_hump_is_no_force(seed):
     ],
 )
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+@pytest.mark.soak(first=1)
 def test_what_other_dynamics_explain_is_no_noise_of_a_color(rng, kind, edge, true, known):
     """A resonance that the dynamics lack fits a noise of some levels, and itself by far better."""
     for _ in range(3):
@@ -330,6 +331,7 @@ def smooth_noise(f: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("density", [band_of_noise, cut_of_a_filter, noise_of_a_converter, smooth_noise])
 @pytest.mark.parametrize("ratio", [1.0, 1.5, 0.6])
 @pytest.mark.filterwarnings("ignore:.*times the power that it has in the record of noise, all of it alike:UserWarning")
+@pytest.mark.soak(first=4)
 def test_force_beside_noise_with_edges(rng, density, ratio):
     """With a record of noise alone nothing of it is taken for force; another level is told and followed."""
     calm = record_of(noise_of(rng, density))

@@ -96,7 +96,7 @@ def test_sound_records_are_not_doubted(maker, rng) -> None:
 @pytest.mark.parametrize(
     "maker", [step(0.5), soft(0.1, 30.0, 2.0), soft(0.3, 3.0, 2.0)], ids=["release", "gust", "slow"]
 )
-@pytest.mark.soak(first=2)
+@pytest.mark.soak(first=1)
 def test_one_load_that_acts_in_all_components_moves_no_mode(maker, rng) -> None:
     """A release, or a gust: with forces taken for independent one mode had moved, by a gain of up to 219.
 
@@ -193,7 +193,7 @@ def test_modes_of_another_balance_are_named_and_counted(factor: float, rng) -> N
 
 
 @pytest.mark.parametrize(("factor", "common"), [(0.4, False), (2.5, False), (0.6, True), (2.0, True)])
-@pytest.mark.soak(first=2)
+@pytest.mark.soak(first=1)
 def test_modes_far_from_those_of_the_balance_are_not_usable(factor: float, common: bool, rng) -> None:
     """Of half the frequency and less noise of a color left no force, of others signs were wrong: errors of 7 to 130 u.
 
@@ -221,6 +221,7 @@ def _far_off(scene: SixScene, factor: float, rng: np.random.Generator) -> None:
 
 
 @pytest.mark.parametrize("maker", [band(0.1, 0, 347), soft(0.1, 30.0)], ids=["broad", "soft"])
+@pytest.mark.soak(first=1)
 def test_modes_that_have_moved_a_little_are_counted_at_least(maker, rng) -> None:
     """By 3 % the error is 400 times the uncertainty of a sound record, and half a second hardly tells it.
 
@@ -465,7 +466,7 @@ def exchanges(force: Force) -> set[tuple[str, str]]:
 
 
 @pytest.mark.parametrize("one, other", [("NF", "YM"), ("NF", "SF"), ("RM", "AF")])
-@pytest.mark.soak(first=1)
+@pytest.mark.soak(first=0)
 def test_exchanged_components_of_very_different_frequencies_are_named(one: str, other: str, rng) -> None:
     """Under turbulence of 8 Hz that falls as f^-5/3 most channels have little but noise far above their own modes.
 
@@ -513,7 +514,7 @@ def test_noise_of_a_color_exchanges_no_channels(rng) -> None:
     assert not exchanges(wide_record(band(0.05, 0, 180), rng, color=5 * NOISE))
 
 
-@pytest.mark.soak(first=2)
+@pytest.mark.soak(first=0)
 def test_exchanged_channels_are_named_in_noise_of_a_color(rng) -> None:
     order = [COMPONENTS.index(name) for name in ("YM", "PM", "SF", "NF", "RM", "AF")]
     force = wide_record(band(0.05, 0, 180), rng, order=order, color=5 * NOISE)
@@ -567,7 +568,7 @@ def test_one_mode_that_has_moved_is_told_from_a_narrow_load(what: str, place: in
 
 
 @pytest.mark.parametrize("seed", [0, 5])
-@pytest.mark.soak(first=1)
+@pytest.mark.soak(first=0)
 def test_a_load_that_falls_steeply_at_a_mode_moves_it_nowhere(seed: int) -> None:
     """Twenty seconds of turbulence on sound dynamics, which falls as f^-7 at the mode of 600 Hz.
 
@@ -596,7 +597,7 @@ def test_one_mode_is_told_by_few_ordinates(seed: int) -> None:
 @pytest.mark.parametrize(
     ("seed", "gap", "missing"), [(2, (0.45, 0.55), range(6)), (4, (0.4, 0.6), [2])], ids=["in all", "in SF"]
 )
-@pytest.mark.soak(first=1)
+@pytest.mark.soak(first=0)
 def test_what_fills_a_long_gap_is_no_ringing(seed: int, gap: tuple[float, float], missing: Iterable[int]) -> None:
     """Two of six records of 4 s with a gap, of which what was filled made exchanged channels and other signs."""
     dynamics, rng = wide(), np.random.default_rng(seed)
@@ -638,7 +639,7 @@ def test_natural_frequencies_that_a_record_does_not_tell_are_assumed(samples: in
 
 
 @pytest.mark.parametrize("seed", [1, 5])
-@pytest.mark.soak(first=1)
+@pytest.mark.soak(first=0)
 def test_what_sines_leave_of_the_noise_is_no_mode_that_has_moved(seed: int) -> None:
     """Decoupled, a component may have a resonance as broad as the noise between the tones: of 1 that was one."""
     rng, clock = np.random.default_rng(seed), replace(SIX, rate=1000.0, samples=20_000, fine=8)
