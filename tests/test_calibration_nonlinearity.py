@@ -10,7 +10,8 @@ import scipy.stats
 
 from aerobalance.balance.calibration.fit import calibrate
 from aerobalance.balance.calibration_nonlinearity import NonlinearErrors
-from aerobalance.balance.loads import Loads, loads_of_outputs
+from aerobalance.balance.loads import Loads
+from aerobalance.balance.loads_of_outputs import loads_of_outputs
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.zeros import GaugeZero
 from aerobalance.recording.channel import Array, Channel

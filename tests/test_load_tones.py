@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import aerobalance as ab
-from aerobalance.estimation.checks.other_dynamics import unbroken
+from aerobalance.estimation.checks.asked_readings import unbroken
 from aerobalance.estimation.force_smoother import forces_of_tones
 from aerobalance.estimation.prior import Observation
 from aerobalance.estimation.spectra.lines import Line, columns_of_lines, reading_of_lines, turned_time

@@ -11,7 +11,8 @@ from scipy.linalg import null_space
 from scipy.signal import lfilter
 
 from aerobalance.balance.calibration.fit import calibrate
-from aerobalance.balance.loads import Loads, loads_of_outputs, static_uncertainty
+from aerobalance.balance.loads import Loads, static_uncertainty
+from aerobalance.balance.loads_of_outputs import loads_of_outputs
 from aerobalance.balance.matrix import BalanceMatrix, TemperatureEffect
 from aerobalance.balance.reduction import reduce_outputs
 from aerobalance.balance.steady_means import batch_means, variance_of_drift, variance_of_mean

@@ -12,12 +12,13 @@ import pytest
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks import other_dynamics, resonance
+from aerobalance.estimation.checks.asked_readings import without_steps
 from aerobalance.estimation.checks.averaged_spectrum import INDEPENDENT, REACH, Averaged, smeared
 from aerobalance.estimation.checks.evidence import Evidence
 from aerobalance.estimation.checks.local_modes import _fit, _fixed, _most_likely, missing_mode, own_resonance
 from aerobalance.estimation.checks.model_error import LEFT_OPEN, error_under
 from aerobalance.estimation.checks.near_resonance import near_resonance
-from aerobalance.estimation.checks.other_dynamics import OtherDynamics, _if_changed, other_dynamics_in, without_steps
+from aerobalance.estimation.checks.other_dynamics import OtherDynamics, _if_changed, other_dynamics_in
 from aerobalance.estimation.checks.spoken import SETTINGS as SPOKEN
 from aerobalance.estimation.checks.spoken import Spoken
 from aerobalance.estimation.checks.step_ringing import change_by_steps

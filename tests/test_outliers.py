@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import aerobalance as ab
-from aerobalance.balance.loads import Loads, loads_of_outputs
+from aerobalance.balance.loads import Loads
+from aerobalance.balance.loads_of_outputs import loads_of_outputs
 from aerobalance.balance.zeros import GaugeZero
 from aerobalance.estimation.checks.outliers import without_wild_samples
 from aerobalance.io.dynamics_file import write_dynamics

@@ -9,7 +9,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import make_interp_spline
 from scipy.linalg import eigh
 
-from aerobalance.balance.loads import loads_of_outputs
+from aerobalance.balance.loads_of_outputs import loads_of_outputs
 from aerobalance.balance.zeros import gauge_zero
 from aerobalance.dynamics.modal import Mode
 from aerobalance.recording.components import COMPONENTS, MOMENTS

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from aerobalance.balance.calibration.fit import calibrate
-from aerobalance.balance.loads import loads_of_outputs
+from aerobalance.balance.loads_of_outputs import loads_of_outputs
 from aerobalance.balance.weighing import WeightModel, fit_weight, points_from_recordings, with_matrix_errors
 from aerobalance.balance.zeros import GaugeZero
 from aerobalance.recording.channel import Channel

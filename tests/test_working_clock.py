@@ -12,7 +12,8 @@ import pytest
 
 from aerobalance.app.cli import main
 from aerobalance.app.commands.shared import opened
-from aerobalance.balance.loads import Loads, loads_of_outputs
+from aerobalance.balance.loads import Loads
+from aerobalance.balance.loads_of_outputs import loads_of_outputs
 from aerobalance.balance.zeros import GaugeZero
 from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.dynamics.modal import Mode

@@ -10,7 +10,8 @@ import numpy as np
 
 from aerobalance.balance.calibration.fit import Calibration, matrix_of
 from aerobalance.balance.load_formats import Form
-from aerobalance.balance.loads import Loads, Tare, loads_of_outputs
+from aerobalance.balance.loads import Loads, Tare
+from aerobalance.balance.loads_of_outputs import loads_of_outputs
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.weighing import Weighing
 from aerobalance.balance.weight_on_zero import WeightOnZero, attitudes_of, settled_zero, weight_on_zero, zero_or_mean

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.balance.load_formats import Form
-from aerobalance.balance.loads import Tare, loads_of_outputs
+from aerobalance.balance.loads import Tare
+from aerobalance.balance.loads_of_outputs import loads_of_outputs
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.steady_means import correlation_of_means, mean_of_records, variance_of_mean
 from aerobalance.balance.weight_on_zero import SHARED_PITCH

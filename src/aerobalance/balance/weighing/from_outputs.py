@@ -8,7 +8,8 @@ from typing import Final
 import numpy as np
 
 from aerobalance.balance.calibration.fit import Calibration, matrix_of
-from aerobalance.balance.loads import Loads, loads_of_outputs
+from aerobalance.balance.loads import Loads
+from aerobalance.balance.loads_of_outputs import loads_of_outputs
 from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.weighing import (
     LoadPoints,

@@ -15,16 +15,11 @@ import numpy as np
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.applied_force import Force
+from aerobalance.estimation.checks.asked_readings import unbroken, without_steps
 from aerobalance.estimation.checks.mode_shapes import shape_doubts
 from aerobalance.estimation.checks.model_error import LEFT_OPEN, as_noise, error_under
 from aerobalance.estimation.checks.not_linear import NotLinear, all_along, friction_of, not_linear
-from aerobalance.estimation.checks.other_dynamics import (
-    ModelDoubt,
-    other_dynamics_in,
-    peaks_of,
-    unbroken,
-    without_steps,
-)
+from aerobalance.estimation.checks.other_dynamics import ModelDoubt, other_dynamics_in, peaks_of
 from aerobalance.estimation.checks.peaks import peak_doubts
 from aerobalance.estimation.checks.spoken import Spoken
 from aerobalance.estimation.checks.step_ringing import friction_by_steps

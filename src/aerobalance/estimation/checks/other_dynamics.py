@@ -16,6 +16,7 @@ import numpy as np
 
 from aerobalance.dynamics.modal import ModalModel, Mode
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.checks.asked_readings import longest_stretch, unbroken, without_steady_tones, without_steps
 from aerobalance.estimation.checks.averaged_spectrum import Averaged
 from aerobalance.estimation.checks.changing_resonance import changes_along, stretches_of
 from aerobalance.estimation.checks.evidence import Evidence
@@ -26,11 +27,9 @@ from aerobalance.estimation.checks.spoken import Spoken
 from aerobalance.estimation.checks.step_ringing import change_by_steps
 from aerobalance.estimation.independent_record import SingleRecord
 from aerobalance.estimation.prior import Observation, SpectralPrior
-from aerobalance.estimation.record import FEWEST_SAMPLES, ComponentRecord
-from aerobalance.estimation.spectra.lines import Line, reading_of_lines
-from aerobalance.estimation.spectra.steady_tones import without_tones
-from aerobalance.estimation.step_window import free_motions
-from aerobalance.estimation.steps import Step, columns_of
+from aerobalance.estimation.record import ComponentRecord
+from aerobalance.estimation.spectra.lines import Line
+from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import Doubt
@@ -46,8 +45,6 @@ class OtherDynamicsSettings:
     ----------
     drift
         Standard uncertainties that frequency or damping has to be off before it is said to have changed.
-    longest
-        Samples from the start that are looked at, so that the check of a long record takes no longer.
     changed
         Gain in twice the log-likelihood that another frequency and damping must bring: chance has it once in 3
         million. The curvature at the optimum alone says too much of a resonance that the load hardly excites.
@@ -62,15 +59,9 @@ class OtherDynamicsSettings:
     peaked, beside
         Density of the color of a noise at a mode over that beside it, so far away over its frequency on either side,
         from which on the color is the mode's: the edge of a band has its level on one side.
-    periods
-        Periods in the window through which a free oscillation is seen: four terms of Harris (Proc. IEEE 66 (1978) 51),
-        of which a load more than a third of the natural frequency away passes 92 dB down.
-    decayed
-        Time constants up to which it is.
     """
 
     drift: float = 5.0
-    longest: int = 1 << 17
     changed: float = 30.0
     least_damping: float = 0.05
     told: float = 0.5
@@ -78,8 +69,6 @@ class OtherDynamicsSettings:
     beyond: float = 1e3
     peaked: float = 3.0
     beside: float = 0.1
-    periods: float = 12.0
-    decayed: float = 5.0
 
 
 ROUNDING: Final = 1e-9
@@ -240,7 +229,9 @@ def other_dynamics_in(
     slopes = [Step(at - begin, end - at) for at in bends if begin <= at < end]  # each goes on up to the end
 
     def beside_steps(other: Dynamics, some: Sequence[Step], *, first: int = 0) -> Array:
-        return _without_tones(without_steps(replace(reading, dynamics=other, values=reading.values[first:]), some))
+        return without_steady_tones(
+            without_steps(replace(reading, dynamics=other, values=reading.values[first:]), some)
+        )
 
     ask = partial(
         spoken_for,
@@ -250,7 +241,7 @@ def other_dynamics_in(
         learned=learned,
         color_found=record.noise is None,
     )
-    spoken = ask(_without_tones(reading.values), steps=[*within, *slopes], beside_steps=beside_steps)
+    spoken = ask(without_steady_tones(reading.values), steps=[*within, *slopes], beside_steps=beside_steps)
     if spoken is None or spoken.kind != "no resonance":
         changed = _changed_along(record, ask, steps=steps, lines=lines, whole=spoken)
         if changed is not None:
@@ -306,7 +297,7 @@ def _changed_along(
     if seen is None:
         return None
     reading, inside = seen
-    values = _without_tones(reading.values)
+    values = without_steady_tones(reading.values)
     found = changes_along(values, record.dynamics, ask, interval=reading.interval, steps=inside)
     if found is None or (whole is not None and found.spoken.gain < whole.gain):
         return None
@@ -379,80 +370,6 @@ def peaks_of(record: ComponentRecord, *, noise: float, steps: Sequence[Step], li
     averaged = Averaged.of(without_steps(reading, within), interval=reading.interval, noise=noise)
     mode = None if averaged is None else missing_mode(averaged, record.dynamics, largest_share=np.inf)
     return [] if mode is None else [Peak(record.dynamics.component, mode.mode.natural_frequency, mode.u_frequency)]
-
-
-def unbroken(
-    record: ComponentRecord, steps: Sequence[Step], lines: Sequence[Line], *, longest: int = SETTINGS.longest
-) -> tuple[Observation, list[Step]] | None:
-    """The longest stretch of a reading without a gap, lines taken out, and the steps within.
-
-    None where it has fewer than `FEWEST_SAMPLES` or does not change; of one that is too long the begin.
-    """
-    reading = record.reading()
-    response = reading.dynamics.response
-    known = reading_of_lines(tuple(lines), count=reading.values.size, interval=reading.interval, response=response)
-    whole = longest_stretch(record)
-    first, last = whole.start, min(whole.stop, whole.start + longest)
-    values = (reading.values - known)[first:last]
-    if values.size < FEWEST_SAMPLES or float(np.ptp(values)) == 0:
-        return None
-    begin, end = first * reading.interval, last * reading.interval
-    within = [replace(step, instant=step.instant - begin) for step in steps if begin <= step.instant < end]
-    return replace(reading, values=values), within
-
-
-def longest_stretch(record: ComponentRecord) -> slice:
-    """The longest stretch of a reading without a gap; none of its samples where it has no readings."""
-    told = record.reading().present & ~record.hides_motion  # what is hidden and not found swings as well
-    edges = np.flatnonzero(np.diff(np.concatenate(([False], told, [False])).astype(np.int8)))
-    stretches = edges.reshape(-1, 2)
-    if not len(stretches):
-        return slice(0, 0)
-    first, last = stretches[np.argmax(stretches[:, 1] - stretches[:, 0])]
-    return slice(int(first), int(last))
-
-
-def without_steps(reading: Observation, steps: Sequence[Step]) -> Array:
-    """Reading less the mean, the steps and the free oscillation from its begin that explain it best, shape (n,)."""
-    values, columns = reading.values, columns_of(list(steps), reading)
-    time = np.arange(values.size, dtype=np.float64) * reading.interval
-    motions = np.column_stack([part for mode in reading.dynamics.modes for part in free_motions(mode, time)])
-    # by what is near the natural frequencies alone: of a load elsewhere least squares would make a ringing
-    every = np.column_stack([motions, columns, values])
-    near = np.concatenate([_near(every, mode, reading.interval) for mode in reading.dynamics.modes])
-    left = _less(values, columns)
-    if len(near) >= every.shape[1]:  # else a record of a few periods, in which nothing has decayed
-        sizes, *_ = np.linalg.lstsq(near[:, :-1], near[:, -1], rcond=None)
-        ringing = _less(values - motions @ sizes[: motions.shape[1]], columns)
-        # what a step near the begin excites looks like it, and is told from it badly
-        left = min(left, ringing, key=lambda one: float(one @ one))
-    return left
-
-
-def _less(values: Array, columns: Array) -> Array:
-    """Values less what columns explain of them best, shape (n,)."""
-    sizes, *_ = np.linalg.lstsq(columns, values, rcond=None)
-    return np.asarray(values - columns @ sizes)
-
-
-def _near(columns: Array, mode: Mode, interval: float) -> Array:
-    """What columns, shape (n, k), have near the natural frequency of a mode while it decays, shape (m, k)."""
-    count = round(SETTINGS.periods / (mode.natural_frequency * interval))
-    if not 4 <= count <= len(columns):
-        return np.zeros((0, columns.shape[1]))
-    decay = mode.damping_ratio * 2 * np.pi * mode.natural_frequency * interval
-    last = len(columns) - count + 1 if decay == 0 else min(len(columns) - count, int(SETTINGS.decayed / decay)) + 1
-    place = 2 * np.pi * np.outer((np.arange(count) + 0.5) / count, np.arange(4))
-    window = np.cos(place) @ np.array([0.35875, -0.48829, 0.14128, -0.01168])
-    turn = np.exp(-2j * np.pi * mode.natural_frequency * interval * np.arange(count))
-    windows = np.lib.stride_tricks.sliding_window_view(columns, count, axis=0)[: last : max(count // 4, 1)]
-    seen = windows @ (window * turn)
-    return np.concatenate([seen.real, seen.imag])
-
-
-def _without_tones(values: Array) -> Array:
-    """One component's readings less their steady tones, shape (n,)."""
-    return np.asarray(without_tones(values[:, None])[:, 0])
 
 
 def _possible(found: OtherDynamics, *, most: float) -> OtherDynamics:
