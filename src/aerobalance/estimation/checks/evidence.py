@@ -53,9 +53,6 @@ class EvidenceSettings:
     skirts: int = 2
 
 
-TRACE: Final = 1e-9
-"""Weight of ordinates that do not count, over their own."""
-
 SETTINGS: Final = EvidenceSettings()
 """Settings that are used."""
 
@@ -155,11 +152,9 @@ class Evidence:
         return float(gain)
 
     def _beside(self, dynamics: ModalModel, within: NDArray[np.bool_]) -> SpectrumFit:
-        """Spectrum and evidence without some averages: these keep a trace of weight, by which a level is a number."""
-        periodogram = self._periodogram(dynamics)
-        weight = np.where(within, TRACE * periodogram.weight, periodogram.weight)
+        """Spectrum and evidence without some averages."""
         return fit_spectrum(
-            replace(periodogram, weight=weight),
+            self._periodogram(dynamics).without(within),
             noise_density=self.white,
             floor=self.floor,
             rising=self.rising,

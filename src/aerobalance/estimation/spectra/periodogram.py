@@ -7,7 +7,7 @@ S_F the force, S_u the white noise that comes with known inputs, and R the noise
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Final
 
@@ -36,6 +36,9 @@ FEWEST_ORDINATES: Final = 4
 
 FINENESS: Final = 0.003
 """Width of such an average over its frequency."""
+
+TRACE: Final = 1e-9
+"""Weight of averages that do not count, over their own."""
 
 STRAIGHT: Final = 1e-3
 """Second difference of the response's squares at neighbouring ordinates, over them, below which they hardly bend."""
@@ -153,6 +156,8 @@ class Periodogram:
         none.
     even
         Whether the ends of the readings are weighed as their middle: what stands there leaks.
+    counted
+        One for each ordinate that counts and zero for others, shape (n,); None where all do.
     gains_above
         Results of `gain_above` so far.
     """
@@ -168,6 +173,7 @@ class Periodogram:
     input_density: float
     color: Array | None = None
     even: bool = False
+    counted: Array | None = None
     gains_above: dict[float, Array] = field(default_factory=dict)
 
     @property
@@ -237,6 +243,11 @@ class Periodogram:
             color=None if color is None else color(grid.frequency, HANN_WIDTH * grid.step),
             even=even,
         )
+
+    def without(self, hidden: NDArray[np.bool_]) -> Periodogram:
+        """The same, some averages, shape (m,), left with a trace of weight, by which a level there is a number."""
+        weight = np.where(hidden, TRACE * self.weight, self.weight)
+        return replace(self, weight=weight, counted=np.repeat(np.where(hidden, 0.0, 1.0), self.count))
 
     def background(self, noise: float) -> Array:
         """Density of what is no force: the noise of the reading (its white part is given) and the input's, (m,)."""

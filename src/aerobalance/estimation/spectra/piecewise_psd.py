@@ -387,6 +387,8 @@ class _EdgeCost:
         First ordinate that counts.
     density, gain, background
         Density of the reading, gain, and density of what is no force, of those from it on, shape (n,).
+    weight
+        One for each of them that counts, zero for others, shape (n,).
     levels
         Densities of the force below the edge and above it.
     below, above
@@ -397,6 +399,7 @@ class _EdgeCost:
     density: Array
     gain: Array
     background: Array
+    weight: Array
     levels: Array
     below: Array
     above: Array
@@ -409,9 +412,10 @@ class _EdgeCost:
         background = gain * periodogram.input_density + noise
         if periodogram.color is not None:
             background = background + periodogram.color[part]
+        weight = np.ones(density.size) if periodogram.counted is None else periodogram.counted[part]
         models = gain * levels[:, None] + background
-        below, above = np.cumsum(np.log(models) + density / models, axis=1)
-        return cls(part.start, density, gain, background, levels, np.append(0.0, below), np.append(0.0, above))
+        below, above = np.cumsum(weight * (np.log(models) + density / models), axis=1)
+        return cls(part.start, density, gain, background, weight, levels, np.append(0.0, below), np.append(0.0, above))
 
     @property
     def reach(self) -> int:
@@ -432,7 +436,7 @@ class _EdgeCost:
         share = leaked(about - above[:, None])
         force = self.levels[0] + (self.levels[1] - self.levels[0]) * share
         model = self.gain[near] * force + self.background[near]
-        cost = np.sum(np.where(inside, np.log(model) + self.density[near] / model, 0.0), axis=1)
+        cost = np.sum(np.where(inside, self.weight[near], 0.0) * (np.log(model) + self.density[near] / model), axis=1)
         first, last = near[:, 0], near[:, -1] + 1
         cost += self.below[first] + self.above[-1] - self.above[last]
         return float(tried[np.argmin(cost)])
