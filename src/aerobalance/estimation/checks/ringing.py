@@ -33,7 +33,7 @@ from aerobalance.estimation.checks.channel_rows import Rows, powers_of, product_
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.spectra._kernels import Search
-from aerobalance.estimation.spectra.periodogram import HANN_BANDWIDTH, HANN_WIDTH, LOBES, Periodogram
+from aerobalance.estimation.spectra.periodogram import HANN_BANDWIDTH, Periodogram, leaked_from
 from aerobalance.recording.channel import Array
 from aerobalance.recording.fourier import hann
 
@@ -403,11 +403,7 @@ class RingingSpectra:
 
 def _own(power: Array) -> NDArray[np.bool_]:
     """Whether the power of several series about each ordinate, (n, m), is its own and not leaked from others, (m,)."""
-    away = np.arange(-LOBES, LOBES + 1, dtype=np.float64)
-    far = np.abs(away) >= HANN_WIDTH
-    leaks = np.zeros(away.size)  # of a line anywhere between two ordinates, over the sum of its lobes
-    leaks[far] = 0.5 / (np.pi * away[far] * (away[far] ** 2 - 1)) ** 2 / 1.5
-    leaked = np.stack([np.convolve(one, leaks)[LOBES : LOBES + one.size] for one in power])
+    leaked = np.stack([leaked_from(one) for one in power])
     share = leaked / np.maximum(_smoothed(power), 1e-300)
     together = np.exp(np.mean(np.log(np.maximum(share, 1e-300)), axis=0))
     return np.asarray((together < SETTINGS.leaked) & (share.max(axis=0) < SETTINGS.leaked_one))

@@ -58,6 +58,24 @@ def leaked(distance: Array) -> Array:
     return np.asarray(np.interp(distance, _LOBE_PLACE, _LOBE_SHARE))
 
 
+def leaked_from(power: Array, *, even: bool = False) -> Array:
+    """Mean of what the window leaks from power at ordinates to those beyond its main lobe, of their shape (n,).
+
+    Parameters
+    ----------
+    power
+        At ordinates of the same distance, shape (n,); lines may lie anywhere between them.
+    even
+        Whether the window is an even one, and no Hann window.
+    """
+    away = np.arange(-LOBES, LOBES + 1, dtype=np.float64)
+    far = np.abs(away) >= HANN_WIDTH
+    shares, at = np.zeros(away.size), np.pi * away[far]
+    # side lobes of a line half way between two ordinates on average, over the sum of all its lobes
+    shares[far] = 0.5 / at**2 if even else 0.5 / (at * (away[far] ** 2 - 1)) ** 2 / 1.5
+    return np.asarray(np.convolve(power, shares)[LOBES : LOBES + power.size])
+
+
 def _lobe() -> tuple[Array, Array]:
     place = np.linspace(-LOBES, LOBES, 2 * LOBES * 64 + 1)
     power = (np.sinc(place) + 0.5 * np.sinc(place - 1) + 0.5 * np.sinc(place + 1)) ** 2
@@ -245,9 +263,15 @@ class Periodogram:
         )
 
     def without(self, hidden: NDArray[np.bool_]) -> Periodogram:
-        """The same, some averages, shape (m,), left with a trace of weight, by which a level there is a number."""
+        """The same, some averages, shape (m,), left with a trace of weight, by which a level there is a number.
+
+        What the window leaks from them is known noise: no level elsewhere is to explain it.
+        """
         weight = np.where(hidden, TRACE * self.weight, self.weight)
-        return replace(self, weight=weight, counted=np.repeat(np.where(hidden, 0.0, 1.0), self.count))
+        beyond = np.repeat(hidden, self.count)
+        leak = leaked_from(np.where(beyond, self.ordinates[1], 0.0), even=self.even)
+        color = leak if self.color is None else self.color + leak
+        return replace(self, weight=weight, counted=np.where(beyond, 0.0, 1.0), color=color)
 
     def background(self, noise: float) -> Array:
         """Density of what is no force: the noise of the reading (its white part is given) and the input's, (m,)."""
