@@ -64,6 +64,23 @@ class _Narrow(NamedTuple):
     peaks: NDArray[np.bool_]
 
 
+class _Beside(NamedTuple):
+    """What is expected of a reading some of whose averages are left out.
+
+    Attributes
+    ----------
+    evidence
+        Logarithm of the likelihood of the others, less the price of the spectrum.
+    force, noise, level
+        Density of the force, of all that is none, with what leaks, and of the reading, shape (m,) each [N^2/Hz].
+    """
+
+    evidence: float
+    force: Array
+    noise: Array
+    level: Array
+
+
 @dataclass(slots=True, eq=False)
 class Evidence:
     """Evidence of dynamics in a reading.
@@ -132,7 +149,7 @@ class Evidence:
         band
             Lowest and highest frequency of that band [Hz]; None for none.
         """
-        known, others = self._periodogram(own), self._periodogram(other)
+        known = self._periodogram(own)
         frequency, weight, density = known.frequency, known.weight, known.density
         if self._narrow is None or not np.array_equal(self._narrow.edges, known.edges):
             self._narrow = _Narrow(known.edges, _stands_out(density, frequency, known.count))
@@ -140,26 +157,29 @@ class Evidence:
         inside = np.zeros_like(peaks) if band is None else (frequency >= band[0]) & (frequency <= band[1])
         # a resonance of the others within the band tells of the force there
         mine, theirs = self._beside(own, peaks | inside), self._beside(other, peaks & ~inside)
-        level = others.load(theirs.spectrum) + others.background(theirs.noise_density)
+        level = theirs.level
         gain = theirs.evidence - mine.evidence + weight[inside] @ (np.log(level) + density / level)[inside]
         # what the force has on both sides of a load it has there as well
         within = peaks | inside
-        force = mine.spectrum.density(frequency)
         below, above = _beside_each(within)
-        least = np.minimum(force[below], force[above]) * known.gain + known.background(mine.noise_density)
+        least = np.minimum(mine.force[below], mine.force[above]) * known.gain + mine.noise
         more = within & (least > level)
         gain += weight[more] @ (np.log(least / level) + density * (1 / least - 1 / level))[more]
         return float(gain)
 
-    def _beside(self, dynamics: ModalModel, within: NDArray[np.bool_]) -> SpectrumFit:
-        """Spectrum and evidence without some averages."""
-        return fit_spectrum(
-            self._periodogram(dynamics).without(within),
+    def _beside(self, dynamics: ModalModel, within: NDArray[np.bool_]) -> _Beside:
+        """What is expected without some averages."""
+        periodogram = self._periodogram(dynamics).without(within)
+        found = fit_spectrum(
+            periodogram,
             noise_density=self.white,
             floor=self.floor,
             rising=self.rising,
             near=self._fit(dynamics).noise_density,
         )
+        noise = periodogram.background(found.noise_density)
+        force = found.spectrum.density(periodogram.frequency)
+        return _Beside(found.evidence, force, noise, periodogram.load(found.spectrum) + noise)
 
     def nearly(self, dynamics: ModalModel, start: ModalModel) -> float:
         """The same, at most, of dynamics nearly like others: with a spectrum of the kind that is best with those."""
