@@ -65,6 +65,7 @@ def test_white_spectrum_is_the_noise_of_the_channel(rng):
     assert np.array_equal(given.uncertainty, plain.uncertainty)
 
 
+@pytest.mark.filterwarnings("ignore:.*too faint to be told from noise")  # by chance of one record in a hundred
 def test_step_beside_one_over_f(rng):
     noise = noise_of_component(
         force_record(record_of(noise_of(rng, one_over_f().density)), T128).component_record("AF")

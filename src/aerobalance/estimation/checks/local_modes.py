@@ -68,6 +68,9 @@ class LocalModeSettings:
 SETTINGS: Final = LocalModeSettings()
 """Thresholds that are used."""
 
+ALIKE: Final = 4.0
+"""Difference in twice the log-likelihood up to which two fits are as likely: two standard deviations of one number."""
+
 
 Power: TypeAlias = Callable[[Array], Callable[[Array], Array]]
 """Gives, at frequencies, the square of the response that parameters stand for."""
@@ -117,7 +120,7 @@ def missing_mode(seen: Averaged, dynamics: ModalModel, *, largest_share: float =
             beside = _beside_an_edge(seen, band, dynamics, start, edge=edge.point)
             if max(map(_likelihood, beside)) - max(map(_likelihood, either)) > price:
                 either = beside
-        found = max(either, key=_likelihood)
+        found = _with_share(either, below=largest_share)
         mode = found.mode
         width = 2 * mode.damping_ratio * mode.natural_frequency
         inside = abs(mode.natural_frequency / centre - 1) < BAND / 2
@@ -128,8 +131,19 @@ def missing_mode(seen: Averaged, dynamics: ModalModel, *, largest_share: float =
             and width > seen.resolution
             and inside
         ):
-            return _with_either_sign(found, min(either, key=_likelihood))
+            others = [one for one in either if (one.mode.share > 0) != (mode.share > 0)]
+            return _with_either_sign(found, max(others, key=_likelihood))
     return None
+
+
+def _with_share(fits: list[_FurtherMode], *, below: float) -> _FurtherMode:
+    """The likeliest fit; of those that are as likely the likeliest whose share is below a limit, where one is.
+
+    With an edge of the load just above a mode its share and the load's level are hardly told apart.
+    """
+    best = max(fits, key=_likelihood)
+    within = [one for one in fits if abs(one.mode.share) < below and _likelihood(best) - _likelihood(one) < ALIKE]
+    return max(within, key=_likelihood, default=best)
 
 
 def _most_likely(seen: Averaged, band: NDArray[np.intp]) -> float:
@@ -196,10 +210,9 @@ def _further_mode(
 def _beside_an_edge(
     seen: Averaged, band: NDArray[np.intp], dynamics: ModalModel, start: Array, *, edge: Array
 ) -> list[_FurtherMode]:
-    """The likeliest fits with a further mode of either sign beside an edge, looked for also apart from the mode."""
+    """Fits with a further mode of either sign beside an edge, which is looked for also apart from the mode."""
     edges = [edge, *_steepest(seen, band, dynamics, beside=float(np.exp(start[0])))]
-    fits = [[_further_mode(seen, band, dynamics, start, sign=sign, edge=one) for one in edges] for sign in (1, -1)]
-    return [max(of_sign, key=_likelihood) for of_sign in fits]
+    return [_further_mode(seen, band, dynamics, start, sign=sign, edge=one) for sign in (1, -1) for one in edges]
 
 
 def _edge(seen: Averaged, band: NDArray[np.intp], dynamics: ModalModel, mode: Mode) -> _LocalFit:

@@ -118,10 +118,11 @@ def _louder(reading: Observation) -> _Louder | None:
     constant = np.ones((reading.values.size, 1))
     other = replace(reading, noise=float(np.sqrt(ratio)) * reading.noise, color=reading.color.scaled(ratio))
     free = replace(reading, noise=None)
-    evidence = [
+    alike, recorded, apart = (
         evidence_of_prior(one, fit_prior(one, columns=constant), columns=constant) for one in (other, reading, free)
-    ]
-    return _Louder(other, ratio) if evidence[0] > max(evidence[1:]) + STATED_EVIDENCE else None
+    )
+    # that the white part alone is another, and a force the rest, takes more numbers, whose price is paid
+    return _Louder(other, ratio) if alike > max(recorded + STATED_EVIDENCE, apart) else None
 
 
 def departure_of(reading: Observation, *, stated: bool = False) -> float | None:
