@@ -72,7 +72,7 @@ class _Beside(NamedTuple):
     evidence
         Logarithm of the likelihood of the others, less the price of the spectrum.
     force, noise, level
-        Density of the force, of all that is none, with what leaks, and of the reading, shape (m,) each [N^2/Hz].
+        Density of the force, of all that is none, and of the reading, shape (m,) each [N^2/Hz].
     """
 
     evidence: float
@@ -155,6 +155,9 @@ class Evidence:
             self._narrow = _Narrow(known.edges, _stands_out(density, frequency, known.count))
         peaks = self._narrow.peaks
         inside = np.zeros_like(peaks) if band is None else (frequency >= band[0]) & (frequency <= band[1])
+        # how much leaks of a load hangs on its course: where that may be more than noise, nothing is told
+        noise = known.background(self._fit(own).noise_density)
+        peaks = peaks | (known.leaked_from(peaks | inside) > noise)
         # a resonance of the others within the band tells of the force there
         mine, theirs = self._beside(own, peaks | inside), self._beside(other, peaks & ~inside)
         level = theirs.level

@@ -172,7 +172,10 @@ def named(spoken: Spoken, evidence: Evidence, dynamics: Dynamics, *, confirmed: 
         return spoken._replace(probability=likely * spoken.probability) if likely > 0 else None
     if kind == "missing mode":
         mode = other.further_modes[-1]
-        if is_line(mode, evidence, width=SETTINGS.line_beside) and not _beside_its_line(spoken, evidence, dynamics):
+        if is_line(mode, evidence, width=SETTINGS.line_beside) and not (
+            _beside_its_line(spoken, evidence, dynamics)
+            or gain_over_narrow_loads(kind, evidence, dynamics, other) >= SETTINGS.band_decisive
+        ):
             return None
 
         def at(factor: float, share: float = 1.0) -> Dynamics:
@@ -258,7 +261,8 @@ def is_line(mode: Mode, evidence: Evidence, *, width: float) -> bool:
 def _beside_its_line(spoken: Spoken, evidence: Evidence, dynamics: Dynamics) -> bool:
     """Whether a further mode as narrow as a tone is believed by what a tone does not show: the skirts of a resonance.
 
-    Chance may leave a mode of a short record no wider than a tone, but a tone has no antiresonance beside it.
+    Chance may leave a mode of a short record no wider than a tone, but a tone has no antiresonance beside it. Where a
+    load ends just above the mode its skirts are told by the band that a narrow load may have (`named`).
     """
     centre = spoken.dynamics.further_modes[-1].natural_frequency
     reach = SETTINGS.line_reach / (evidence.values.size * evidence.interval)

@@ -263,15 +263,14 @@ class Periodogram:
         )
 
     def without(self, hidden: NDArray[np.bool_]) -> Periodogram:
-        """The same, some averages, shape (m,), left with a trace of weight, by which a level there is a number.
-
-        What the window leaks from them is known noise: no level elsewhere is to explain it.
-        """
+        """The same, some averages, shape (m,), left with a trace of weight, by which a level there is a number."""
         weight = np.where(hidden, TRACE * self.weight, self.weight)
-        beyond = np.repeat(hidden, self.count)
-        leak = leaked_from(np.where(beyond, self.ordinates[1], 0.0), even=self.even)
-        color = leak if self.color is None else self.color + leak
-        return replace(self, weight=weight, counted=np.where(beyond, 0.0, 1.0), color=color)
+        return replace(self, weight=weight, counted=np.repeat(np.where(hidden, 0.0, 1.0), self.count))
+
+    def leaked_from(self, some: NDArray[np.bool_]) -> Array:
+        """Mean density that the window leaks from some averages, shape (m,), beyond its main lobe, (m,) [N^2/Hz]."""
+        leak = leaked_from(np.where(np.repeat(some, self.count), self.ordinates[1], 0.0), even=self.even)
+        return np.asarray(np.add.reduceat(leak, self.edges) / self.count)
 
     def background(self, noise: float) -> Array:
         """Density of what is no force: the noise of the reading (its white part is given) and the input's, (m,)."""
