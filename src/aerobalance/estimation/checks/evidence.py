@@ -71,13 +71,15 @@ class _Beside(NamedTuple):
     ----------
     evidence
         Logarithm of the likelihood of the others, less the price of the spectrum.
-    force, noise, level
-        Density of the force, of all that is none, and of the reading, shape (m,) each [N^2/Hz].
+    noise_density
+        Density of the noise [N^2/Hz].
+    force, level
+        Density of the force and of the reading, with what leaks into it, shape (m,) each [N^2/Hz].
     """
 
     evidence: float
+    noise_density: float
     force: Array
-    noise: Array
     level: Array
 
 
@@ -150,29 +152,44 @@ class Evidence:
             Lowest and highest frequency of that band [Hz]; None for none.
         """
         known = self._periodogram(own)
-        frequency, weight, density = known.frequency, known.weight, known.density
+        frequency, density = known.frequency, known.density
         if self._narrow is None or not np.array_equal(self._narrow.edges, known.edges):
             self._narrow = _Narrow(known.edges, _stands_out(density, frequency, known.count))
         peaks = self._narrow.peaks
         inside = np.zeros_like(peaks) if band is None else (frequency >= band[0]) & (frequency <= band[1])
-        # how much leaks of a load hangs on its course: where that may be more than noise, nothing is told
-        noise = known.background(self._fit(own).noise_density)
-        peaks = peaks | (known.leaked_from(peaks | inside) > noise)
+        # how much leaks of such a load hangs on its course: nothing, or what does in the mean
+        return min(self._gain_beside(other, own, peaks, inside, leaks=leaks) for leaks in (False, True))
+
+    def _gain_beside(
+        self,
+        other: ModalModel,
+        own: ModalModel,
+        peaks: NDArray[np.bool_],
+        inside: NDArray[np.bool_],
+        *,
+        leaks: bool,
+    ) -> float:
+        """The gain beside loads at peaks and inside a band, shapes (m,), of which the window leaks or not."""
+        known = self._periodogram(own)
+        weight, density = known.weight, known.density
         # a resonance of the others within the band tells of the force there
-        mine, theirs = self._beside(own, peaks | inside), self._beside(other, peaks & ~inside)
+        mine, theirs = (
+            self._beside(own, peaks | inside, leaks=leaks),
+            self._beside(other, peaks & ~inside, leaks=leaks),
+        )
         level = theirs.level
         gain = theirs.evidence - mine.evidence + weight[inside] @ (np.log(level) + density / level)[inside]
-        # what the force has on both sides of a load it has there as well
+        # what the force has on both sides of a load it has there as well; what leaks there hangs on the load's course
         within = peaks | inside
         below, above = _beside_each(within)
-        least = np.minimum(mine.force[below], mine.force[above]) * known.gain + mine.noise
+        least = np.minimum(mine.force[below], mine.force[above]) * known.gain + known.background(mine.noise_density)
         more = within & (least > level)
         gain += weight[more] @ (np.log(least / level) + density * (1 / least - 1 / level))[more]
         return float(gain)
 
-    def _beside(self, dynamics: ModalModel, within: NDArray[np.bool_]) -> _Beside:
-        """What is expected without some averages."""
-        periodogram = self._periodogram(dynamics).without(within)
+    def _beside(self, dynamics: ModalModel, within: NDArray[np.bool_], *, leaks: bool) -> _Beside:
+        """What is expected without some averages, shape (m,), of which the window leaks or not."""
+        periodogram = self._periodogram(dynamics).without(within, leaks=leaks)
         found = fit_spectrum(
             periodogram,
             noise_density=self.white,
@@ -180,9 +197,9 @@ class Evidence:
             rising=self.rising,
             near=self._fit(dynamics).noise_density,
         )
-        noise = periodogram.background(found.noise_density)
         force = found.spectrum.density(periodogram.frequency)
-        return _Beside(found.evidence, force, noise, periodogram.load(found.spectrum) + noise)
+        level = periodogram.load(found.spectrum) + periodogram.background(found.noise_density)
+        return _Beside(found.evidence, found.noise_density, force, level)
 
     def nearly(self, dynamics: ModalModel, start: ModalModel) -> float:
         """The same, at most, of dynamics nearly like others: with a spectrum of the kind that is best with those."""

@@ -262,15 +262,23 @@ class Periodogram:
             even=even,
         )
 
-    def without(self, hidden: NDArray[np.bool_]) -> Periodogram:
-        """The same, some averages, shape (m,), left with a trace of weight, by which a level there is a number."""
-        weight = np.where(hidden, TRACE * self.weight, self.weight)
-        return replace(self, weight=weight, counted=np.repeat(np.where(hidden, 0.0, 1.0), self.count))
+    def without(self, hidden: NDArray[np.bool_], *, leaks: bool) -> Periodogram:
+        """The same, some averages left with a trace of weight, by which a level there is a number.
 
-    def leaked_from(self, some: NDArray[np.bool_]) -> Array:
-        """Mean density that the window leaks from some averages, shape (m,), beyond its main lobe, (m,) [N^2/Hz]."""
-        leak = leaked_from(np.where(np.repeat(some, self.count), self.ordinates[1], 0.0), even=self.even)
-        return np.asarray(np.add.reduceat(leak, self.edges) / self.count)
+        Parameters
+        ----------
+        hidden
+            Those averages, shape (m,).
+        leaks
+            Whether what the window leaks from them, in the mean, is known noise of the others.
+        """
+        weight = np.where(hidden, TRACE * self.weight, self.weight)
+        beyond = np.repeat(hidden, self.count)
+        color = self.color
+        if leaks:
+            leak = leaked_from(np.where(beyond, self.ordinates[1], 0.0), even=self.even)
+            color = leak if color is None else color + leak
+        return replace(self, weight=weight, counted=np.where(beyond, 0.0, 1.0), color=color)
 
     def background(self, noise: float) -> Array:
         """Density of what is no force: the noise of the reading (its white part is given) and the input's, (m,)."""
