@@ -19,6 +19,12 @@ monitor(folder=Path({folder!r}), reach=Reach(port=0), browser=False, say=lambda 
 """
 
 
+LOADED = (
+    "() => document.readyState === 'complete' || new Promise((done) => addEventListener('load', () => done(true)))"
+)
+"""Waits in a page until all of it is there."""
+
+
 class Operator:
     """A page of the program, in a browser."""
 
@@ -49,7 +55,8 @@ class Operator:
         """Wait for a report whose name ends so, and return its words."""
         self.until(f"document.getElementById('result-title').textContent.includes({text!r})", 300.0)
         frame = self.view.frame_locator("#report")
-        frame.locator("h1").wait_for()
+        # on a busy machine the words above are there before those below
+        frame.locator("h1").evaluate(LOADED)
         return frame.locator("main").inner_text()
 
     def rig(self, name):
