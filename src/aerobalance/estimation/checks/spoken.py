@@ -174,7 +174,7 @@ def named(spoken: Spoken, evidence: Evidence, dynamics: Dynamics, *, confirmed: 
         mode = other.further_modes[-1]
         if is_line(mode, evidence, width=SETTINGS.line_beside) and not (
             _beside_its_line(spoken, evidence, dynamics)
-            or gain_over_narrow_loads(kind, evidence, dynamics, other) >= SETTINGS.band_decisive
+            or gain_over_narrow_loads(kind, evidence, dynamics, other) >= SETTINGS.band_half
         ):
             return None
 
