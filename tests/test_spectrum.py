@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.integrate import quad
-from scipy.optimize import approx_fprime, brentq, minimize
+from scipy.optimize import approx_fprime, minimize
 
 from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.estimation.spectra import _kernels
@@ -19,7 +19,7 @@ from aerobalance.estimation.spectra.periodogram import (
     density_of,
     leaked,
 )
-from aerobalance.estimation.spectra.piecewise_psd import CHANGE_EVIDENCE, _cheapest, pruned
+from aerobalance.estimation.spectra.piecewise_psd import CHANGE_EVIDENCE, _cheapest
 from aerobalance.estimation.spectra.whittle import fit_spectrum, refit_spectrum
 from helpers.cable_cut import T128
 
@@ -226,35 +226,6 @@ def test_line_does_not_pull_at_the_edge_of_a_band(rng):
     spectrum = fit(values).spectrum
     # 40 dB above the noise the edge is seen to an ordinate of 0.25 Hz and a half; the line is 45 of them away
     assert spectrum.edges[0] == pytest.approx(30.0, abs=0.4)
-
-
-@pytest.mark.parametrize(
-    ("edges", "levels", "kept"),
-    [
-        ((56.0, 58.0, 62.0), (0.0, 1.0, 40.0), True),
-        ((50.0, 52.0, 58.0, 62.0), (0.0, 1.0, 0.0, 40.0), False),  # apart from the stronger one
-        ((58.0, 98.0, 100.0), (0.0, 40.0, 1.0), False),  # where the balance weakens the force
-    ],
-)
-def test_flank_of_a_stronger_segment_needs_less_evidence(edges, levels, kept):
-    """Tones of vortices that wander have flanks; what is apart from all others, or weakened, is noise more often."""
-    noise, place = 4 / RATE, levels.index(1.0)
-    known = Periodogram.of(np.ones(16_000), T128, interval=1 / RATE)
-
-    def of_size(size):
-        spectrum = Spectrum(np.array([*edges, RATE / 2]), np.array([*levels, 0.0]))
-        spectrum.levels[place] = size
-        return spectrum, replace(known, density=known.load(spectrum) + noise)
-
-    def brings(size):
-        (spectrum, seen), (without, _) = of_size(size), of_size(0.0)
-        return seen.log_likelihood(seen.load(spectrum), noise) - seen.log_likelihood(seen.load(without), noise)
-
-    spectrum, seen = of_size(brentq(lambda size: brings(size) - 17.0, 0.0, 1.0))
-    for beside, stays in ((10.0, kept), (None, False)):
-        left = pruned(spectrum, seen, lambda load: seen.log_likelihood(load, noise), worth=25.0, beside=beside)
-        assert (left.levels == spectrum.levels[place]).any() == stays
-        assert left.levels.max() == 40.0
 
 
 @pytest.mark.parametrize("edge", [30.0, 120.0])

@@ -279,12 +279,7 @@ def _fallen(spectrum: Spectrum, last: int, periodogram: Periodogram, noise: floa
 
 
 def pruned(
-    spectrum: Spectrum,
-    periodogram: Periodogram,
-    likelihood: Callable[[Array], float],
-    *,
-    worth: float,
-    beside: float | None = None,
+    spectrum: Spectrum, periodogram: Periodogram, likelihood: Callable[[Array], float], *, worth: float
 ) -> Spectrum:
     """The spectrum without segments that what the window leaks from others, or the noise, explains as well.
 
@@ -296,16 +291,8 @@ def pruned(
         Logarithm of the likelihood of a density of the load, shape (m,) [N^2/Hz].
     worth
         What a segment must bring of it.
-    beside
-        The same of one beside a stronger one, where the balance does not weaken the force: flanks are what spectra
-        have, and a false one is little there. None for no other.
     """
     levels = spectrum.levels.copy()
-    least = np.full(levels.size, worth)
-    if beside is not None:
-        around = np.concatenate([[0.0], levels, [0.0]])
-        below = float(np.max(periodogram.frequency[periodogram.gain >= WEAKENED], initial=0.0))
-        least[(np.maximum(around[:-2], around[2:]) > levels) & (spectrum.edges <= below)] = beside
     above = [periodogram.gain, *(periodogram.gain_above(float(edge)) for edge in spectrum.edges[:-1])]
     felt = [
         level * np.maximum(here - beyond, 0.0)
@@ -317,7 +304,7 @@ def pruned(
         # what is left of a difference is no density below zero
         fewer = np.maximum(load - felt[place], 0.0)
         without = likelihood(fewer)
-        if here - without < least[place]:
+        if here - without < worth:
             levels[place], load, here = 0.0, fewer, without
     kept = np.append(np.diff(levels) != 0, True)
     return Spectrum(spectrum.edges[kept], levels[kept])

@@ -35,13 +35,6 @@ A false one above the natural frequency makes the error several times as large; 
 records.
 """
 
-FLANK_EVIDENCE: Final = 10.0
-"""The same beside a stronger segment, where the balance does not weaken the force: spectra have flanks.
-
-A false one is little there. Of 700 sound records of 70 kinds none was worse for it, and tones that wander, whose
-flanks were missing, were up to 8 % better.
-"""
-
 BANDS: Final = 32
 """Bands of equal width in which the level of the reading is looked at to begin with."""
 
@@ -222,7 +215,6 @@ def _segmented(periodogram: Periodogram, noise: float, *, floor: float | None, r
         periodogram,
         lambda load: periodogram.log_likelihood(load, _noise_beside(load, periodogram, here.noise_density, floor)),
         worth=SEGMENT_EVIDENCE,
-        beside=float(__import__("os").environ.get("FLANK", "25")),
     )
     spectrum = with_tail(spectrum, periodogram, here.noise_density)
     return _with_noise(spectrum, periodogram, here.noise_density, floor=floor)
