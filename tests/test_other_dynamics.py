@@ -445,8 +445,8 @@ def test_another_resonance_is_told_beside_narrow_loads(factor, rng):
     values = run.channel("AF").values
     evidence = Evidence(values - values.mean(), 1 / RATE, 1e-6 * 4.0 / RATE, among=(BARE, other))
     band = BARE.natural_frequency * 0.94, BARE.natural_frequency * 1.06
-    assert evidence.over_narrow_loads(BARE, other, band) > SPOKEN.band_decisive
-    assert evidence.over_narrow_loads(other, BARE, band) < 0
+    assert evidence.over_narrow_loads(BARE, other, [band], enough=-np.inf) > SPOKEN.band_decisive
+    assert evidence.over_narrow_loads(other, BARE, [band], enough=-np.inf) < 0
     assert looked_at(run, other).frequency is not None
 
 

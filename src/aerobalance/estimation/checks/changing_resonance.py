@@ -134,7 +134,9 @@ def changes_along(
     for ends in sorted({*stretches, *pairwise(edges[:: count // 2].tolist())}):
         part = calm(ends)
         spoken = None if part is None else ask(part)
-        if spoken is not None and spoken.kind != "no resonance" and spoken.gain >= SETTINGS.least_gain:
+        if spoken is None or spoken.probability == 0:
+            continue
+        if spoken.kind != "no resonance" and spoken.gain >= SETTINGS.least_gain:
             found.append(Changed(spoken, *ends, int(edges[1])))
     if not found:
         return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, NamedTuple
 
@@ -62,6 +63,13 @@ class _Narrow(NamedTuple):
 
     edges: NDArray[np.int64]
     peaks: NDArray[np.bool_]
+
+
+class _Read(NamedTuple):
+    """The periodogram of a reading as some dynamics show it, and the spectrum that was found with them."""
+
+    periodogram: Periodogram
+    fit: SpectrumFit
 
 
 class _Beside(NamedTuple):
@@ -137,7 +145,9 @@ class Evidence:
         within = (frequency[last] >= line[0]) & (frequency[periodogram.edges] <= line[1])
         return fit.evidence + float(spent[within].sum())
 
-    def over_narrow_loads(self, other: ModalModel, own: ModalModel, band: tuple[float, float] | None = None) -> float:
+    def over_narrow_loads(
+        self, other: ModalModel, own: ModalModel, bands: Sequence[tuple[float, float] | None], *, enough: float
+    ) -> float:
         """Gain of other dynamics over own ones where the load may have narrow bands of any shape, in log-likelihood.
 
         Such a load adds power where it is, and takes none away: there own dynamics are spoken against only where they
@@ -148,29 +158,31 @@ class Evidence:
         ----------
         other, own
             The dynamics.
-        band
-            Lowest and highest frequency of that band [Hz]; None for none.
+        bands
+            Lowest and highest frequencies of bands of which it may be any [Hz]; None for none. The least gain counts.
+        enough
+            Gain below which it does not matter how low it is.
         """
-        known = self._periodogram(own)
-        frequency, density = known.frequency, known.density
+        mine, theirs = _Read(self._periodogram(own), self._fit(own)), _Read(self._periodogram(other), self._fit(other))
+        known = mine.periodogram
         if self._narrow is None or not np.array_equal(self._narrow.edges, known.edges):
-            self._narrow = _Narrow(known.edges, _stands_out(density, frequency, known.count))
-        peaks = self._narrow.peaks
-        inside = np.zeros_like(peaks) if band is None else (frequency >= band[0]) & (frequency <= band[1])
-        # how much leaks of such a load hangs on its course: nothing, or what does in the mean
-        return min(self._gain_beside(other, own, peaks, inside, leaks=leaks) for leaks in (False, True))
+            self._narrow = _Narrow(known.edges, _stands_out(known.density, known.frequency, known.count))
+        peaks, least = self._narrow.peaks, np.inf
+        for band in bands:
+            lowest, highest = (np.inf, -np.inf) if band is None else band
+            inside = (known.frequency >= lowest) & (known.frequency <= highest)
+            # how much leaks of such a load hangs on its course: nothing, or what does in the mean
+            for leaks in (False, True):
+                least = min(least, self._gain_beside(theirs, mine, peaks, inside, leaks=leaks))
+                if least < enough:
+                    return least
+        return least
 
     def _gain_beside(
-        self,
-        other: ModalModel,
-        own: ModalModel,
-        peaks: NDArray[np.bool_],
-        inside: NDArray[np.bool_],
-        *,
-        leaks: bool,
+        self, other: _Read, own: _Read, peaks: NDArray[np.bool_], inside: NDArray[np.bool_], *, leaks: bool
     ) -> float:
         """The gain beside loads at peaks and inside a band, shapes (m,), of which the window leaks or not."""
-        known = self._periodogram(own)
+        known = own.periodogram
         weight, density = known.weight, known.density
         # a resonance of the others within the band tells of the force there
         mine, theirs = (
@@ -187,15 +199,15 @@ class Evidence:
         gain += weight[more] @ (np.log(least / level) + density * (1 / least - 1 / level))[more]
         return float(gain)
 
-    def _beside(self, dynamics: ModalModel, within: NDArray[np.bool_], *, leaks: bool) -> _Beside:
+    def _beside(self, read: _Read, within: NDArray[np.bool_], *, leaks: bool) -> _Beside:
         """What is expected without some averages, shape (m,), of which the window leaks or not."""
-        periodogram = self._periodogram(dynamics).without(within, leaks=leaks)
+        periodogram = read.periodogram.without(within, leaks=leaks)
         found = fit_spectrum(
             periodogram,
             noise_density=self.white,
             floor=self.floor,
             rising=self.rising,
-            near=self._fit(dynamics).noise_density,
+            near=read.fit.noise_density,
         )
         force = found.spectrum.density(periodogram.frequency)
         level = periodogram.load(found.spectrum) + periodogram.background(found.noise_density)

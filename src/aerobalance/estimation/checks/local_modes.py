@@ -13,7 +13,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple, TypeAlias
 
@@ -45,6 +45,8 @@ class LocalModeSettings:
     most
         Share of a steady load, of either sign, from which on a peak is the load's and no mode: the mode that has more
         than half of it is the one that is known. A tone that wanders, alone, asks for 0.7 and more.
+    of_load
+        Relative distance from the middle of a narrow load within which a peak is the load's.
     excited
         Level of the balance's own resonance over the noise from which its frequency and damping are looked at.
     lack_of_fit
@@ -60,6 +62,7 @@ class LocalModeSettings:
     drops: tuple[float, ...] = (-3.0, 3.0)
     heaviest: float = 0.1
     most: float = 0.5
+    of_load: float = 0.05
     excited: float = 20.0
     lack_of_fit: float = 5.0
     nearby: float = 1e-6
@@ -94,16 +97,18 @@ class MissingMode(NamedTuple):
     u_share: float
 
 
-def missing_mode(seen: Averaged, dynamics: ModalModel, *, largest_share: float = SETTINGS.most) -> MissingMode | None:
+def missing_mode(
+    seen: Averaged, dynamics: ModalModel, *, largest_share: float = SETTINGS.most, loads: Sequence[float] = ()
+) -> MissingMode | None:
     """The strongest peak that a further mode explains, and neither a smooth load nor the edge of its band does.
 
     A narrow band of the load itself looks the same. A mode has a share below `largest_share` of a steady load; in
     the reading of a decoupled component it may have any, as its row makes of the other components what it does of no
-    force.
+    force. Peaks at frequencies of `loads` [Hz] are known to be the load's.
     """
     for centre in _peaks(seen, dynamics):
         band = seen.near(centre)
-        if band.size < 16:
+        if band.size < 16 or any(abs(centre / load - 1) < SETTINGS.of_load for load in loads):
             continue
         plain = _fit(seen, band, _fixed(dynamics), start=np.zeros(0), scale=np.zeros(0))
         most = _most_likely(seen, band) - SETTINGS.evidence

@@ -242,7 +242,11 @@ def other_dynamics_in(
         color_found=record.noise is None,
     )
     spoken = ask(without_steady_tones(reading.values), steps=[*within, *slopes], beside_steps=beside_steps)
-    if spoken is None or spoken.kind != "no resonance":
+    loads = list[float]()
+    if spoken is not None and spoken.probability == 0:
+        loads, spoken = [spoken.mode.natural_frequency], None
+    # of 168 records of 10 s and more with other dynamics, all along or in a part, none looked like narrow loads alone
+    if not loads and (spoken is None or spoken.kind != "no resonance"):
         changed = _changed_along(record, ask, steps=steps, lines=lines, whole=spoken)
         if changed is not None:
             return changed
@@ -250,7 +254,8 @@ def other_dynamics_in(
         return _spoken(spoken, dynamics)
     left = beside_steps(dynamics, within)
     found = _possible(
-        _in_spectrum(left, dynamics, interval=reading.interval, noise=noise), most=float(np.nanstd(known))
+        _in_spectrum(left, dynamics, interval=reading.interval, noise=noise, loads=loads),
+        most=float(np.nanstd(known)),
     )
     if found.missing is not None and (
         (learned is not None and _looks_alike(found.missing, learned, reading.interval))
@@ -377,12 +382,14 @@ def _possible(found: OtherDynamics, *, most: float) -> OtherDynamics:
     return found if found.size is None or found.size <= most else replace(found, size=None)
 
 
-def _in_spectrum(values: Array, dynamics: Dynamics, *, interval: float, noise: float) -> OtherDynamics:
-    """What the spectrum of a record tells."""
+def _in_spectrum(
+    values: Array, dynamics: Dynamics, *, interval: float, noise: float, loads: Sequence[float]
+) -> OtherDynamics:
+    """What the spectrum of a record tells, which shows loads in narrow bands about some frequencies [Hz]."""
     seen = Averaged.of(values, interval=interval, noise=noise)
     if seen is None:
         return OtherDynamics(dynamics.component)
-    found = missing_mode(seen, dynamics)
+    found = missing_mode(seen, dynamics, loads=loads)
     size = None
     if found is not None:
         mode = found.mode

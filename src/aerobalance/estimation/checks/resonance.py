@@ -53,6 +53,8 @@ def spoken_for(
 ) -> Spoken | None:
     """Return the dynamics that a record speaks for instead of its own, and how clearly; None where it does not.
 
+    Where a load in narrow bands explains far better what others gain, they come with no probability.
+
     Parameters
     ----------
     values
@@ -84,10 +86,11 @@ def spoken_for(
     tried = [("no resonance", none), *_others(dynamics, peaks, confirmed=confirmed)]
     likely = [other for _, other in tried if evidence.may_gain(other, dynamics, SETTINGS.worth_a_look)]
     best = max(evidence.of(other) for other in (none, *likely)) - own
-    clear = None
+    clear = load = None
     if best >= SETTINGS.decisive:
         best = max(evidence.of(other) for _, other in tried) - own
-        if not _of_narrow_loads(evidence, dynamics, tried, own=own, best=best):
+        load = _of_narrow_loads(evidence, dynamics, tried, own=own, best=best)
+        if load is None:
             clear = _clearest(evidence, dynamics, tried, own=own, best=best)
     elif -confirmed >= SETTINGS.open_far and not steps:
         clear = _open_far(Spoken("no resonance", none, -confirmed))
@@ -113,7 +116,7 @@ def spoken_for(
         clear = None
     if near is not None and (clear is None or clear.probability < 1):
         clear = _beside(evidence, dynamics, near, own=own, confirmed=confirmed, beside_steps=beside_steps) or clear
-    return clear
+    return clear or load
 
 
 def gain_in_white_noise(values: Array, dynamics: Dynamics, *, interval: float, least_noise: float) -> float:
@@ -182,17 +185,20 @@ def _starts(evidence: Evidence, tried: Sequence[tuple[str, Dynamics]], *, own: f
 
 def _of_narrow_loads(
     evidence: Evidence, dynamics: Dynamics, tried: Sequence[tuple[str, Dynamics]], *, own: float, best: float
-) -> bool:
-    """Whether a load in narrow bands explains far better what all kinds of other dynamics gain that were tried.
+) -> Spoken | None:
+    """The likeliest of other dynamics that were tried where a load in narrow bands explains far better what all gain.
 
     To bring them to their best takes ten times as long, and changes nothing of that.
     """
     starts = sorted(_starts(evidence, tried, own=own, best=best), key=lambda one: -one.gain)
-    return starts[0].kind != "no resonance" and all(
-        gain_over_narrow_loads(one.kind, evidence, dynamics, one.dynamics) < SETTINGS.band_at_first
+    least = SETTINGS.band_at_first
+    if starts[0].kind != "no resonance" and all(
+        gain_over_narrow_loads(one, evidence, dynamics, enough=least) < least
         for one in starts
         if one.kind != "no resonance"
-    )
+    ):
+        return starts[0]._replace(probability=0.0)
+    return None
 
 
 def _without_color(
@@ -229,7 +235,8 @@ def _beside(
     """
     if not evidence.may_gain(near, dynamics, 0.0) or evidence.of(near) - own < SETTINGS.worth_a_look:
         return None
-    if gain_over_narrow_loads("natural frequency", evidence, dynamics, near) < SETTINGS.band_at_first:
+    start, least = Spoken("natural frequency", near, 0.0), SETTINGS.band_at_first
+    if gain_over_narrow_loads(start, evidence, dynamics, enough=least) < least:
         return None
     other = _best_near(evidence, "natural frequency", dynamics, near)
     gain = evidence.of(other) - own

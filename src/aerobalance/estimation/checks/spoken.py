@@ -153,7 +153,7 @@ class Spoken(NamedTuple):
     u_share
         Relative standard uncertainty of the share of a further mode [1].
     probability
-        Probability of them [1].
+        Probability of them [1]; 0 where a load in narrow bands explains far better what they gain.
     """
 
     kind: str
@@ -163,18 +163,23 @@ class Spoken(NamedTuple):
     u_share: float = 0.0
     probability: float = 1.0
 
+    @property
+    def mode(self) -> Mode:
+        """The mode by which they are other."""
+        return self.dynamics.modes[-1] if self.kind == "missing mode" else self.dynamics.modes[0]
+
 
 def named(spoken: Spoken, evidence: Evidence, dynamics: Dynamics, *, confirmed: float) -> Spoken | None:
     """The same with the kind by what has come out, and with its uncertainty; None for what a load makes as well."""
     kind, other = spoken.kind, spoken.dynamics
     if kind == "no resonance":
-        likely = _over_narrow_loads(kind, evidence, dynamics, other)
+        likely = _over_narrow_loads(spoken, evidence, dynamics)
         return spoken._replace(probability=likely * spoken.probability) if likely > 0 else None
     if kind == "missing mode":
         mode = other.further_modes[-1]
         if is_line(mode, evidence, width=SETTINGS.line_beside) and not (
             _beside_its_line(spoken, evidence, dynamics)
-            or gain_over_narrow_loads(kind, evidence, dynamics, other) >= SETTINGS.band_half
+            or gain_over_narrow_loads(spoken, evidence, dynamics, enough=SETTINGS.band_half) >= SETTINGS.band_half
         ):
             return None
 
@@ -202,49 +207,50 @@ def named(spoken: Spoken, evidence: Evidence, dynamics: Dynamics, *, confirmed: 
         def at(factor: float, share: float = 1.0) -> Dynamics:
             return other.retuned(frequency=factor, damping=1.0)
 
-    likely = _over_narrow_loads(kind, evidence, dynamics, other)
+    spoken = spoken._replace(kind=kind)
+    likely = _over_narrow_loads(spoken, evidence, dynamics)
     if likely == 0:
         return None
-    probability = likely * spoken.probability
-    return spoken._replace(kind=kind, u=_spread(evidence, at, shift=0.5 * width), probability=probability)
+    return spoken._replace(u=_spread(evidence, at, shift=0.5 * width), probability=likely * spoken.probability)
 
 
-def _over_narrow_loads(kind: str, evidence: Evidence, dynamics: Dynamics, other: Dynamics) -> float:
+def _over_narrow_loads(spoken: Spoken, evidence: Evidence, dynamics: Dynamics) -> float:
     """Probability of other dynamics where the load may have narrow bands, as the tone of a vortex that wanders [1].
 
     A resonance shows beside its peak as well, on both sides, and where the expected one is missing; such a load shows
     in its band alone, to which it adds.
     """
-    mode, gain = _told_by(kind, other), gain_over_narrow_loads(kind, evidence, dynamics, other)
+    kind, mode, other = spoken.kind, spoken.mode, spoken.dynamics
     alike = abs(other.damping_ratio / dynamics.damping_ratio - 1) < SAME_DAMPING if dynamics.damping_ratio else False
-    decisive = SETTINGS.band_decisive
+    decisive, least = SETTINGS.band_decisive, SETTINGS.band_from
     if kind == "missing mode":
-        decisive = SETTINGS.band_mode
+        decisive = least = SETTINGS.band_mode
     elif kind == "natural frequency" and alike and not is_line(mode, evidence, width=SETTINGS.line_beside):
         decisive = SETTINGS.band_alike
+    damped = kind == "damping ratio" and mode.damping_ratio < dynamics.damping_ratio
+    unresolved = damped and is_line(mode, evidence, width=SETTINGS.line_damped)
+    if damped:
+        least = SETTINGS.band_unresolved if unresolved else SETTINGS.band_damped
+    gain = gain_over_narrow_loads(spoken, evidence, dynamics, enough=least)
     if gain >= decisive:
         return 1.0
-    if kind == "damping ratio" and mode.damping_ratio < dynamics.damping_ratio:
-        if is_line(mode, evidence, width=SETTINGS.line_damped):
-            return SETTINGS.unresolved if gain > SETTINGS.band_unresolved else 0.0
-        return float(gain > SETTINGS.band_damped)
-    if gain < SETTINGS.band_from:
+    if damped:
+        return float(gain > least) * (SETTINGS.unresolved if unresolved else 1.0)
+    if gain < least:
         return 0.0
     return float(expit(SETTINGS.open_steepness * (gain - SETTINGS.band_half)))
 
 
-def gain_over_narrow_loads(kind: str, evidence: Evidence, dynamics: Dynamics, other: Dynamics) -> float:
-    """Gain in log-likelihood of other dynamics where the load may have narrow bands about what they tell, at least."""
-    if kind == "no resonance":
-        return evidence.over_narrow_loads(other, dynamics)
-    centre = _told_by(kind, other).natural_frequency
-    bands = ((centre * (1 - half), centre * (1 + half)) for half in SETTINGS.band)
-    return min(evidence.over_narrow_loads(other, dynamics, band) for band in bands)
+def gain_over_narrow_loads(spoken: Spoken, evidence: Evidence, dynamics: Dynamics, *, enough: float) -> float:
+    """Gain in log-likelihood of other dynamics where the load may have narrow bands about what they tell, at least.
 
-
-def _told_by(kind: str, other: Dynamics) -> Mode:
-    """The mode of other dynamics by which they are other."""
-    return other.modes[-1] if kind == "missing mode" else other.modes[0]
+    Below `enough` it does not matter how low it is.
+    """
+    bands: list[tuple[float, float] | None] = [None]
+    if spoken.kind != "no resonance":
+        centre = spoken.mode.natural_frequency
+        bands = [(centre * (1 - half), centre * (1 + half)) for half in SETTINGS.band]
+    return evidence.over_narrow_loads(spoken.dynamics, dynamics, bands, enough=enough)
 
 
 def _spread(evidence: Evidence, at: Callable[[float], Dynamics], *, shift: float) -> float:

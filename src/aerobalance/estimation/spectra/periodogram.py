@@ -354,7 +354,7 @@ class _Ordinates:
     folded_gain: Array
 
     @staticmethod
-    @lru_cache(maxsize=16)  # asked for with every step that is found, and of each of some dynamics
+    @lru_cache(maxsize=32)  # asked for with every step that is found, and of each of some dynamics
     def of(dynamics: ModalModel, length: int, interval: float) -> _Ordinates:
         """Lay it out for periodograms of so many samples."""
         frequency = np.arange(length // 2 + 1) / (length * interval)

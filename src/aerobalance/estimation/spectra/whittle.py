@@ -28,6 +28,10 @@ TURNS: Final = 4
 SETTLED: Final = 1e-3
 """Relative change of the noise at which they are found."""
 
+NEARLY_SETTLED: Final = 1e-2
+"""The same from a noise that was found with nearly the same dynamics, where likelihoods are compared: one percent of
+the noise is 0.2 in the likelihood of 4000 ordinates."""
+
 SEGMENT_EVIDENCE: Final = 25.0
 """Logarithm of the likelihood that a segment must bring at last, the noise found again without it.
 
@@ -96,7 +100,8 @@ class NoiseKnown(TypedDict, total=False):
         Whether the force may be stronger where the balance weakens it than elsewhere.
     near
         Density of the noise that was found with nearly the same dynamics [N^2/Hz]: it is begun with in place of a
-        quiet level about it, and needs no further turn where it is the same. None, as where it is left out, for none.
+        quiet level about it, and needs no further turn where it is nearly the same. None, as where it is left out,
+        for none.
     """
 
     noise_density: float | None
@@ -135,26 +140,38 @@ def fit_spectra(periodogram: Periodogram, **known: Unpack[NoiseKnown]) -> list[S
     """
     noise_density, near, floor = known.get("noise_density"), known.get("near"), known.get("floor", 0.0)
     starts = quiet_levels(periodogram) if noise_density is None else [noise_density]
+    settled = SETTLED
     if near is not None and noise_density is None and starts[0] / COLORED < near < starts[0] * COLORED:
-        starts[0] = near
+        starts[0], settled = near, NEARLY_SETTLED
     least = floor if noise_density is None else None
     faint = _faint(periodogram) if noise_density is None else []
     smooth, rising = known.get("smooth", False), known.get("rising", False)
     return [
-        _likeliest(periodogram, some, floor=floor, least=least, smooth=smooth, rising=rising)
+        _likeliest(periodogram, some, floor=floor, least=least, smooth=smooth, rising=rising, settled=settled)
         for some in (starts, *([one] for one in faint))
     ]
 
 
 def _likeliest(
-    periodogram: Periodogram, starts: list[float], *, floor: float, least: float | None, smooth: bool, rising: bool
+    periodogram: Periodogram,
+    starts: list[float],
+    *,
+    floor: float,
+    least: float | None,
+    smooth: bool,
+    rising: bool,
+    settled: float,
 ) -> SpectrumFit:
     """The likeliest of all kinds of spectra, from some densities of the noise."""
     noises = [max(start, floor) for start in starts]
     nothing = Spectrum(np.zeros(0), np.zeros(0))
     fits = [
         *(_with_noise(nothing, periodogram, noise, floor=least) for noise in noises if not smooth),
-        *(_segmented(periodogram, noise, floor=least, rising=rising) for noise in noises if not smooth),
+        *(
+            _segmented(periodogram, noise, floor=least, rising=rising, settled=settled)
+            for noise in noises
+            if not smooth
+        ),
     ]
     beside = max((fit.evidence for fit in fits), default=-np.inf)
     fits += [
@@ -183,7 +200,7 @@ def refit_spectrum(
         spectrum, noise = refit_roll_off(periodogram, start.spectrum, noise, floor=least)
         return _with_noise(spectrum, periodogram, noise, floor=None)
     if start.spectrum.levels.size:
-        return _segmented(periodogram, noise, floor=least, rising=rising)
+        return _segmented(periodogram, noise, floor=least, rising=rising, settled=NEARLY_SETTLED)
     return _with_noise(start.spectrum, periodogram, noise, floor=least)
 
 
@@ -202,13 +219,15 @@ def evidence_of(spectrum: Spectrum, periodogram: Periodogram, noise: float, *, f
     return _with_noise(spectrum, periodogram, noise, floor=floor)
 
 
-def _segmented(periodogram: Periodogram, noise: float, *, floor: float | None, rising: bool) -> SpectrumFit:
-    """Segments and noise in turn, from a noise; it is kept where no floor is given."""
+def _segmented(
+    periodogram: Periodogram, noise: float, *, floor: float | None, rising: bool, settled: float
+) -> SpectrumFit:
+    """Segments and noise in turn, from a noise, up to a relative change of it; it is kept where no floor is given."""
     for _ in range(TURNS):
         spectrum = fit_segments(periodogram, noise, rising=rising)
         here = _with_noise(spectrum, periodogram, noise, floor=floor)
         change, noise = here.noise_density / noise - 1, here.noise_density
-        if abs(change) < SETTLED:
+        if abs(change) < settled:
             break
     spectrum = pruned(
         spectrum,
