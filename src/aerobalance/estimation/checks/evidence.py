@@ -196,7 +196,10 @@ class Evidence:
         below, above = _beside_each(within)
         least = np.minimum(mine.force[below], mine.force[above]) * known.gain + known.background(mine.noise_density)
         more = within & (least > level)
-        gain += weight[more] @ (np.log(least / level) + density * (1 / least - 1 / level))[more]
+        # at peaks elsewhere such a load explains with either what is read beyond what it expects
+        beyond = np.where(inside, 0.0, density)
+        least, level = np.maximum(least, beyond)[more], np.maximum(level, beyond)[more]
+        gain += weight[more] @ (np.log(least / level) + density[more] * (1 / least - 1 / level))
         return float(gain)
 
     def _beside(self, read: _Read, within: NDArray[np.bool_], *, leaks: bool) -> _Beside:

@@ -88,10 +88,10 @@ def spoken_for(
     best = max(evidence.of(other) for other in (none, *likely)) - own
     clear = load = None
     if best >= SETTINGS.decisive:
-        best = max(evidence.of(other) for _, other in tried) - own
-        load = _of_narrow_loads(evidence, dynamics, tried, own=own, best=best)
-        if load is None:
-            clear = _clearest(evidence, dynamics, tried, own=own, best=best)
+        left, load = _beside_narrow_loads(evidence, dynamics, tried, own=own)
+        best = max((evidence.of(other) for _, other in left), default=own) - own
+        if best >= SETTINGS.decisive:
+            clear, load = _clearest(evidence, dynamics, left, own=own, best=best), None
     elif -confirmed >= SETTINGS.open_far and not steps:
         clear = _open_far(Spoken("no resonance", none, -confirmed))
     if evidence.color is not None and color_found and (clear is None or clear.probability < 1):
@@ -183,22 +183,41 @@ def _starts(evidence: Evidence, tried: Sequence[tuple[str, Dynamics]], *, own: f
     return found
 
 
-def _of_narrow_loads(
-    evidence: Evidence, dynamics: Dynamics, tried: Sequence[tuple[str, Dynamics]], *, own: float, best: float
-) -> Spoken | None:
-    """The likeliest of other dynamics that were tried where a load in narrow bands explains far better what all gain.
+def _beside_narrow_loads(
+    evidence: Evidence, dynamics: Dynamics, tried: Sequence[tuple[str, Dynamics]], *, own: float
+) -> tuple[list[tuple[str, Dynamics]], Spoken | None]:
+    """Other dynamics that were tried without those of which a load in narrow bands explains far better what they gain.
 
-    To bring them to their best takes ten times as long, and changes nothing of that.
+    The likeliest of these comes with them, with no probability; None where there are none. To bring them to their
+    best takes ten times as long, and changes nothing of that.
     """
-    starts = sorted(_starts(evidence, tried, own=own, best=best), key=lambda one: -one.gain)
-    least = SETTINGS.band_at_first
-    if starts[0].kind != "no resonance" and all(
-        gain_over_narrow_loads(one, evidence, dynamics, enough=least) < least
-        for one in starts
-        if one.kind != "no resonance"
-    ):
-        return starts[0]._replace(probability=0.0)
-    return None
+    left, load, least = list(tried), None, SETTINGS.band_at_first
+    while left:
+        best = max(evidence.of(other) for _, other in left) - own
+        starts = sorted(_starts(evidence, left, own=own, best=best), key=lambda one: -one.gain)
+        if best < SETTINGS.decisive or starts[0].kind == "no resonance":
+            break
+        loads = [
+            one
+            for one in starts
+            if one.kind != "no resonance" and gain_over_narrow_loads(one, evidence, dynamics, enough=least) < least
+        ]
+        if not loads:
+            break
+        load = load or loads[0]._replace(probability=0.0)
+        # no resonance at all gains by the same load, and less
+        left = [
+            (kind, other)
+            for kind, other in left
+            if kind != "no resonance" and not any(_at(one, kind, other) for one in loads)
+        ]
+    return left, load
+
+
+def _at(spoken: Spoken, kind: str, other: Dynamics) -> bool:
+    """Whether other dynamics are of the kind and tell of the frequency of some."""
+    away = Spoken(kind, other, 0.0).mode.natural_frequency / spoken.mode.natural_frequency - 1
+    return kind == spoken.kind and abs(away) < SETTINGS.of_load
 
 
 def _without_color(

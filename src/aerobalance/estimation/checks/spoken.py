@@ -78,6 +78,8 @@ class ResonanceSettings:
         Gain before the dynamics have come to their best below which all of a record are those of such a load, and are
         not looked at closer. Of 44 stretches with a tone that wanders all were below -6; of 70 records of other
         dynamics one kind of others of one record was below 0, beside kinds that were above.
+    of_load
+        Relative distance of two frequencies within which both are those of the same narrow load.
     band_unresolved, unresolved
         Gain from which on less damping that the record does not resolve is left open, and its probability: a tone of
         the load at just the natural frequency looks the same. Of 64 sound records of six kinds none came to it.
@@ -120,6 +122,7 @@ class ResonanceSettings:
     band_damped: float = -3.0
     band_mode: float = -5.0
     band_at_first: float = -5.0
+    of_load: float = 0.05
     band_unresolved: float = -1.0
     unresolved: float = 0.5
     line_reach: float = 3.0
