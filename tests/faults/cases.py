@@ -226,6 +226,9 @@ def sound() -> list[Case]:
         "narrow at 72 Hz, 60 N, and 0-60 Hz, 20 N": together(band(60.0, 71.3, 73.3), band(20.0, 0, 60)),
         "narrow at 70 Hz, 20 N, and 0-120 Hz, 60 N": together(band(20.0, 69.0, 71.0), band(60.0, 0, 120)),
         "sine 17 Hz": together(shaped(lambda t: 40 * np.sin(2 * np.pi * 17.3 * t)), band(10.0, 0, 30)),
+        "sine 160 Hz, 20 N, and 0-30 Hz": together(
+            shaped(lambda t: 20 * np.sin(2 * np.pi * 160.3 * t)), band(10.0, 0, 30)
+        ),
         "rotor of 7.3 Hz": rotor(7.3),
         "rotor of 23 Hz": rotor(23.0),
         "rotor of 23 Hz and 0-60 Hz, 60 N": together(rotor(23.0), band(60.0, 0, 60)),
@@ -724,6 +727,14 @@ def loads_that_change() -> Iterator[Case]:
         Scene(together(band(20.0, 0, 20), band(200.0, 2 * FREQUENCY, 3 * FREQUENCY))),
         (),
     )
+    # where nothing else shows a force, a tone that the balance weakens may be of the electronics
+    alone = {
+        "tone of 20 N at 160 Hz alone": shaped(lambda t: 20 * np.sin(2 * np.pi * 160.3 * t)),
+        "tone that wanders from 137 to 139 Hz alone": wandering(137.0, 139.0),
+        "narrow at 68 and 160 Hz, 5 N each": together(band(5.0, 67, 69), band(5.0, 159.8, 160.8)),
+    }
+    for name, force in alone.items():
+        yield Case(name, "load", Scene(force), ("interference",))
     yield Case("square wave of 5 Hz, 200 N", "load", Scene(pieces(square)), ())
     yield Case("telegraph, 200 N", "load", Scene(pieces(telegraph)), ())
     yield Case(

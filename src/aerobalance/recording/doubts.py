@@ -31,6 +31,7 @@ KINDS: Final[Mapping[str, str]] = {
     "zero": "the bridges moved by more than they drift: while a zero was read, between two, or since the calibration",
     "noise level": "the noise of the readings is not that of the record of noise, or that its channel states",
     "colored noise": "the noise of the readings may not be white",
+    "interference": "narrow power above the natural frequency may be of the electronics, and no force",
     "hum": "a line at a frequency of the mains is taken for force, and may be hum",
     "filter gain": "the filter of a load takes off a part of the force that is not made up for",
     "faint force": "the noise hides a force that is taken for constant",
@@ -104,7 +105,8 @@ class Assumption:
     ----------
     kind
         What it is: ``"load filter"``, ``"gain"``, ``"zero"``, ``"zero drift"``, ``"pitch zero"``, ``"roll zero"``,
-        ``"mass"``, ``"cross-axis"``, ``"natural frequency"``, ``"no readings"``, ``"colored noise"`` or ``"hum"``.
+        ``"mass"``, ``"cross-axis"``, ``"natural frequency"``, ``"no readings"``, ``"colored noise"``, ``"hum"`` or
+        ``"interference"``.
     component
         Component whose force is meant.
     text

@@ -19,6 +19,7 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.colored_noise import noise_assumed
 from aerobalance.estimation.checks.mains_hum import hum_assumed
 from aerobalance.estimation.checks.model_error import error_under
+from aerobalance.estimation.checks.narrow_power import interference_assumed
 from aerobalance.estimation.decoupled_record import DecoupledRecord
 from aerobalance.estimation.force_smoother import SmootherResult, instant_columns
 from aerobalance.estimation.independent_record import SingleRecord, moves_along_axis
@@ -147,6 +148,7 @@ def assumptions_of(
             yield from noise_assumed(fit.reading, fit.learned, name, unit=unit)
         if record.noise is None and hum == "mains" and not fit.reading.hum:
             yield from hum_assumed(fit.reading, fit.learned, unit=unit)
+        yield from interference_assumed(fit, name, unit=unit)
         yield from _of_single(record, fit, unit)
     elif isinstance(record, DecoupledRecord):
         yield from _of_decoupled(record, fit.force, least=least)

@@ -18,6 +18,7 @@ from aerobalance.estimation.checks.mains_hum import (
     unknown_lines,
 )
 from aerobalance.estimation.checks.model_error import as_noise, error_behind
+from aerobalance.estimation.checks.narrow_power import narrow_power
 from aerobalance.estimation.checks.resolution import resolution_doubt, rounding_error
 from aerobalance.estimation.error_sources import Contribution, Noise
 from aerobalance.estimation.force_smoother import SmootherResult
@@ -106,6 +107,10 @@ def _of_noise(record: ComponentRecord, signal: SignalModel, fit: SmootherResult,
         told = floor.doubt(component, unit=unit) if floor.missing > SETTINGS.doubtful * rest else None
         missing = np.full(count, floor.missing)
         yield [told] if told else [], [Noise(NOISE_OR_FORCE, component, missing, floor.density)]
+    for narrow in narrow_power(fit):
+        if narrow.missing > COUNTS * rest:
+            told = narrow.doubt(component, unit=unit) if narrow.missing > SETTINGS.doubtful * rest else None
+            yield [told] if told else [], [narrow.error(component, count=count)]
     hidden = hidden_force(reading, learned, left=fit.residuals)
     if hidden is not None:
         told = hidden.doubt(component, unit=unit)

@@ -108,6 +108,28 @@ def noise_candidates(
     return tried
 
 
+def without_balance(periodogram: Periodogram, where: NDArray[np.bool_]) -> Periodogram:
+    """Return the same for what the balance does not weaken, with only some of its averages.
+
+    Parameters
+    ----------
+    periodogram
+        Of the reading.
+    where
+        Those averages, shape (m,).
+    """
+    return replace(
+        periodogram,
+        gain=np.ones(where.size),
+        folded_gain=np.ones(where.size),
+        weight=np.where(where, periodogram.weight, NO_WEIGHT),
+        ordinates=np.stack([*periodogram.ordinates[:2], np.ones(periodogram.ordinates.shape[1])]),
+        input_density=0.0,
+        color=np.repeat(periodogram.background(0.0), periodogram.count),
+        gains_above={},
+    )
+
+
 def _continued(found: NoiseLevels, periodogram: Periodogram) -> Iterator[NoiseLevels]:
     """The same with one of the lowest levels that are seen above the natural frequency for all frequencies below it.
 
@@ -146,23 +168,9 @@ def beyond_a_gap(force: Spectrum, periodogram: Periodogram) -> NDArray[np.bool_]
     return (periodogram.gain < WEAKENED) & (periodogram.frequency > first + periodogram.step * LEAK)
 
 
-def _without_balance(periodogram: Periodogram, where: NDArray[np.bool_]) -> Periodogram:
-    """The same for what the balance does not weaken, with only some of its averages, shape (m,)."""
-    return replace(
-        periodogram,
-        gain=np.ones(where.size),
-        folded_gain=np.ones(where.size),
-        weight=np.where(where, periodogram.weight, NO_WEIGHT),
-        ordinates=np.stack([*periodogram.ordinates[:2], np.ones(periodogram.ordinates.shape[1])]),
-        input_density=0.0,
-        color=np.repeat(periodogram.background(0.0), periodogram.count),
-        gains_above={},
-    )
-
-
 def _with_edges(found: NoiseLevels, periodogram: Periodogram) -> Array:
     """Density of levels, their edges placed as those of a force are and seen through the same window, shape (m,)."""
-    alone = _without_balance(periodogram, found.seen)
+    alone = without_balance(periodogram, found.seen)
     white = float(found.density.min())
     edges, levels = _edges_of(found, periodogram)
     return alone.load(sharpened(Spectrum(edges, levels - white), alone, white)) + white
@@ -181,7 +189,7 @@ def _levels_alone(periodogram: Periodogram, where: NDArray[np.bool_], *, least: 
     """Levels of noise where a force may be as well: which of them needs fewer changes is chance where both are few."""
     if float(np.sum(periodogram.weight[where])) < FEWEST_ORDINATES:
         return
-    alone = _without_balance(periodogram, where)
+    alone = without_balance(periodogram, where)
     white = max(float(np.min(quiet_levels(alone))), least)
     found = fit_segments(alone, white)
     density = alone.load(found) + white
@@ -198,7 +206,7 @@ def _power_law(found: NoiseLevels, periodogram: Periodogram) -> Iterator[NoiseCa
     if first == 0 or np.ptp(found.density[first : last + 1]) == 0:
         return  # it goes on below what is seen, or is one level
     edges, levels = _edges_of(found, periodogram)
-    alone = _without_balance(periodogram, found.seen)
+    alone = without_balance(periodogram, found.seen)
     edges = sharpened(Spectrum(edges, levels - white), alone, white).edges
     inside = levels > DIFFERENT * white
     begin, end = float(edges[np.argmax(inside) - 1]), float(edges[np.flatnonzero(inside)[-1]])
@@ -249,7 +257,7 @@ def _smooth(periodogram: Periodogram, where: NDArray[np.bool_], *, least: float)
     white, humps = likeliest_humps(seen)
     smooth = white + sum((one.sampled(frequency, periodogram.interval) for one in humps), np.zeros(where.size))
     found = [(smooth, len(humps))]
-    alone = _without_balance(periodogram, where)
+    alone = without_balance(periodogram, where)
     start = float(np.min(quiet_levels(alone)))
     found += [(alone.load(one) + white, 1) for one, white in fit_roll_offs(alone, [start], floor=least)]
     first = int(np.flatnonzero(where)[0])
