@@ -18,8 +18,8 @@ from aerobalance.estimation.checks.moved_dynamics import Moved
 from aerobalance.estimation.checks.moved_modes import gain_apart
 from aerobalance.estimation.checks.ringing import RingingSpectra
 from aerobalance.estimation.force import estimate_force
-from aerobalance.estimation.spectra.periodogram import HANN_BANDWIDTH
 from aerobalance.estimation.spectra.steady_tones import without_tones
+from aerobalance.estimation.spectra.windows import HANN_BANDWIDTH
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.doubts import Verdict

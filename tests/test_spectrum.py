@@ -11,16 +11,10 @@ from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.estimation.spectra import _kernels
 from aerobalance.estimation.spectra._kernels import score_roll_off
 from aerobalance.estimation.spectra.parametric_psd import _averages_of, _costs, fit_roll_offs, refit_roll_off
-from aerobalance.estimation.spectra.periodogram import (
-    HANN_BANDWIDTH,
-    Periodogram,
-    Spectrum,
-    _Ordinates,
-    density_of,
-    leaked,
-)
+from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum, _Ordinates
 from aerobalance.estimation.spectra.piecewise_psd import CHANGE_EVIDENCE, _cheapest
 from aerobalance.estimation.spectra.whittle import fit_spectrum, refit_spectrum
+from aerobalance.estimation.spectra.windows import HANN_BANDWIDTH, density_of, leaked
 from helpers.cable_cut import T128
 
 RATE = 1600.0

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, ShapedNoise
-from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum, density_of, share_of, share_seen
+from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum
 from aerobalance.estimation.spectra.whittle import fit_spectrum
+from aerobalance.estimation.spectra.windows import density_of, share_of, share_seen
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, StateSpace
 from aerobalance.estimation.statespace.shaping_filter import EDGE, ShapingFilter
 from aerobalance.recording.channel import Array

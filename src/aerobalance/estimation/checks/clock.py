@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.estimation.spectra.periodogram import INSIDE, LONGEST, density_of
+from aerobalance.estimation.spectra.windows import INSIDE, LONGEST, density_of
 from aerobalance.recording.errors import FitError, argument
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import interpolate_gaps

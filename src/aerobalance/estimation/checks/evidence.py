@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from aerobalance.dynamics.modal import ModalModel, Mode
 from aerobalance.estimation.prior import SpectralPrior
 from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, ShapedNoise
-from aerobalance.estimation.spectra.periodogram import LONGEST, Periodogram, averages_for, density_of
+from aerobalance.estimation.spectra.periodogram import Periodogram, averages_for
 from aerobalance.estimation.spectra.whittle import SpectrumFit, fit_spectrum, refit_spectrum
+from aerobalance.estimation.spectra.windows import LONGEST, density_of
 from aerobalance.recording.channel import Array
 from aerobalance.recording.fourier import hann
 

@@ -27,7 +27,7 @@ import numpy as np
 
 from aerobalance.estimation.error_sources import Noise
 from aerobalance.estimation.prior import BESIDE_A_GAP, Observation, SpectralPrior, periodogram_of
-from aerobalance.estimation.spectra.periodogram import share_seen
+from aerobalance.estimation.spectra.windows import share_seen
 from aerobalance.recording.channel import Array
 from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.resampling import interpolate_gaps_linearly

@@ -21,8 +21,9 @@ from aerobalance.estimation.force_smoother import SmootherResult
 from aerobalance.estimation.prior import SpectralPrior, periodogram_of
 from aerobalance.estimation.spectra.line_noise import MAINS
 from aerobalance.estimation.spectra.noise_candidates import without_balance
-from aerobalance.estimation.spectra.periodogram import HANN_WIDTH, Periodogram, share_seen
+from aerobalance.estimation.spectra.periodogram import Periodogram
 from aerobalance.estimation.spectra.piecewise_psd import WEAKENED, fit_segments, pruned
+from aerobalance.estimation.spectra.windows import HANN_WIDTH, share_seen
 from aerobalance.estimation.statespace.kalman import LOAD
 from aerobalance.recording.channel import Array
 from aerobalance.recording.doubts import Assumption, Doubt

@@ -17,8 +17,8 @@ from aerobalance.estimation.prior import (
 )
 from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.spectra.noise_floor import lasts
-from aerobalance.estimation.spectra.periodogram import share_seen
 from aerobalance.estimation.spectra.piecewise_psd import WEAKENED
+from aerobalance.estimation.spectra.windows import share_seen
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import Doubt

@@ -33,7 +33,8 @@ from aerobalance.estimation.checks.channel_rows import Rows, powers_of, product_
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.spectra._kernels import Search
-from aerobalance.estimation.spectra.periodogram import HANN_BANDWIDTH, Periodogram, leaked_from
+from aerobalance.estimation.spectra.periodogram import Periodogram
+from aerobalance.estimation.spectra.windows import HANN_BANDWIDTH, leaked_from
 from aerobalance.recording.channel import Array
 from aerobalance.recording.fourier import hann
 

@@ -35,7 +35,7 @@ from aerobalance.estimation.spectra.noise_candidates import (
     noise_candidates,
 )
 from aerobalance.estimation.spectra.noise_spectrum import ShapedNoise
-from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum, share_seen
+from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum
 from aerobalance.estimation.spectra.piecewise_psd import (
     CHANGE_EVIDENCE,
     WEAKENED,
@@ -50,6 +50,7 @@ from aerobalance.estimation.spectra.whittle import (
     likeliest_of,
     quiet_levels,
 )
+from aerobalance.estimation.spectra.windows import share_seen
 from aerobalance.recording.channel import Array
 from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import argument

@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.estimation.spectra._kernels import cheapest
-from aerobalance.estimation.spectra.periodogram import FEWEST_ORDINATES, FINENESS, Periodogram, Spectrum, leaked
+from aerobalance.estimation.spectra.periodogram import FEWEST_ORDINATES, FINENESS, Periodogram, Spectrum
+from aerobalance.estimation.spectra.windows import leaked
 from aerobalance.recording.channel import Array
 
 CHANGE_EVIDENCE: Final = 10.0

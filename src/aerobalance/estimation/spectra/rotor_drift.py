@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from scipy.fft import rfft
 
 from aerobalance.estimation.spectra.line_search import BY_CHANCE, EVIDENCE, LineSearch
-from aerobalance.estimation.spectra.periodogram import HANN_BANDWIDTH
 from aerobalance.estimation.spectra.steady_tones import BAND, LEFT, WIDTH
+from aerobalance.estimation.spectra.windows import HANN_BANDWIDTH
 from aerobalance.recording.channel import Array
 
 DRIFTING: Final = 300.0

@@ -17,8 +17,9 @@ from aerobalance.estimation.prior import Observation, SpectralPrior, periodogram
 from aerobalance.estimation.spectra.noise_ordinates import Ordinates
 from aerobalance.estimation.spectra.noise_record import likeliest_slow
 from aerobalance.estimation.spectra.noise_spectrum import SLOWEST, NoiseSpectrum
-from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum, share_seen
+from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum
 from aerobalance.estimation.spectra.whittle import SpectrumFit, evidence_of, fit_spectrum
+from aerobalance.estimation.spectra.windows import share_seen
 from aerobalance.recording.channel import Array
 
 EVEN: Final = 5.0
