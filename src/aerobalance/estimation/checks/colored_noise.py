@@ -75,7 +75,9 @@ def slow_noise_doubts(
     error = None
     if open_ > LEAST * learned.noise:
         error = Noise(LEFT_OPEN, component, np.full(reading.values.size, open_), _binned(density))
-    corner = f"as 1/f^{slow.spectrum.exponent:.2g} below {slow.spectrum.corner:.3g} Hz"
+    below = slow.spectrum.corner < 0.5 / reading.interval
+    where = f"below {slow.spectrum.corner:.3g} Hz" if below else "at all frequencies"
+    corner = f"as 1/f^{slow.spectrum.exponent:.2g} {where}"
     advice = f"a record of noise alone ({argument('noise')}) decides"
     if taken:
         effect = float(np.hypot(open_, _rms(hidden, frequency)))
