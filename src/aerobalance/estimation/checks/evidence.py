@@ -166,9 +166,7 @@ class Evidence:
         """
         mine, theirs = _Read(self._periodogram(own), self._fit(own)), _Read(self._periodogram(other), self._fit(other))
         known = mine.periodogram
-        if self._narrow is None or not np.array_equal(self._narrow.edges, known.edges):
-            self._narrow = _Narrow(known.edges, _stands_out(known.density, known.frequency, known.count))
-        peaks, least = self._narrow.peaks, np.inf
+        peaks, least = self._narrow_in(known), np.inf
         for band in bands:
             lowest, highest = (np.inf, -np.inf) if band is None else band
             inside = (known.frequency >= lowest) & (known.frequency <= highest)
@@ -178,6 +176,18 @@ class Evidence:
                 if least < enough:
                     return least
         return least
+
+    def narrow_peaks(self, dynamics: ModalModel) -> int:
+        """Number of narrow peaks that stand out, neighbours counted as one."""
+        peaks = self._narrow_in(self._periodogram(dynamics))
+        return int(np.count_nonzero(np.diff(peaks, prepend=False) & peaks))
+
+    def _narrow_in(self, periodogram: Periodogram) -> NDArray[np.bool_]:
+        """Where narrow peaks stand out, shape (m,)."""
+        if self._narrow is None or not np.array_equal(self._narrow.edges, periodogram.edges):
+            peaks = _stands_out(periodogram.density, periodogram.frequency, periodogram.count)
+            self._narrow = _Narrow(periodogram.edges, peaks)
+        return self._narrow.peaks
 
     def _gain_beside(
         self, other: _Read, own: _Read, peaks: NDArray[np.bool_], inside: NDArray[np.bool_], *, leaks: bool

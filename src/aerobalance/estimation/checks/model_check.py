@@ -257,18 +257,25 @@ def _bent(force: ComponentForce, record: SingleRecord, bent: NotLinear, error: A
 
 
 def _named_only(force: ComponentForce) -> ComponentForce:
-    """The same without doubts that name no fault, or a color of what rings as the dynamics do not."""
-    kept = tuple(doubt for doubt in force.doubts if doubt.kind not in ("unexplained", "colored noise"))
-    return replace(force, doubts=kept)
+    """The same without doubts that name no fault, or a color or lines of what rings as the dynamics do not."""
+    vague = ("unexplained", "colored noise", "interference")
+    return replace(force, doubts=tuple(doubt for doubt in force.doubts if doubt.kind not in vague))
 
 
 def _without_vague(force: ComponentForce) -> ComponentForce:
     """The same without a doubt that names no fault where another explains the same.
 
-    Of dynamics that are not the balance's own the force shows as a noise of some color as well.
+    Of dynamics that are not the balance's own the force shows as a noise of some color as well, and as lines that are
+    no larger than what is wrong with it.
     """
     named = [doubt for doubt in force.doubts if doubt.kind != "unexplained"]
-    if any(doubt.kind in (*DYNAMICS, "not linear") for doubt in named):
-        named = [doubt for doubt in named if doubt.kind != "colored noise"]
+    wrong = [doubt for doubt in named if doubt.kind in (*DYNAMICS, "not linear")]
+    if wrong:
+        most = max(np.inf if doubt.effect is None else doubt.effect for doubt in wrong)
+        named = [
+            doubt
+            for doubt in named
+            if doubt.kind != "colored noise" and (doubt.kind != "interference" or (doubt.effect or 0.0) > most)
+        ]
     serious = any(doubt.effect is None or doubt.effect > 0 for doubt in named)
     return replace(force, doubts=tuple(named)) if serious else force

@@ -83,6 +83,8 @@ class ResonanceSettings:
     band_unresolved, unresolved
         Gain from which on less damping that the record does not resolve is left open, and its probability: a tone of
         the load at just the natural frequency looks the same. Of 64 sound records of six kinds none came to it.
+    many_peaks
+        Narrow peaks from which on a load repeats, and none of them is a mode as narrow as a tone.
     line_reach
         Ordinates on either side of a tone in which it shows.
     closer
@@ -125,6 +127,7 @@ class ResonanceSettings:
     of_load: float = 0.05
     band_unresolved: float = -1.0
     unresolved: float = 0.5
+    many_peaks: int = 8
     line_reach: float = 3.0
     closer: float = 0.3
     share_shift: float = 0.3
@@ -181,8 +184,7 @@ def named(spoken: Spoken, evidence: Evidence, dynamics: Dynamics, *, confirmed: 
     if kind == "missing mode":
         mode = other.further_modes[-1]
         if is_line(mode, evidence, width=SETTINGS.line_beside) and not (
-            _beside_its_line(spoken, evidence, dynamics)
-            or gain_over_narrow_loads(spoken, evidence, dynamics, enough=SETTINGS.band_half) >= SETTINGS.band_half
+            _beside_its_line(spoken, evidence, dynamics) or _beside_narrow_loads(spoken, evidence, dynamics)
         ):
             return None
 
@@ -278,6 +280,16 @@ def _beside_its_line(spoken: Spoken, evidence: Evidence, dynamics: Dynamics) -> 
     line = centre - reach, centre + reach
     gain = evidence.beside(spoken.dynamics, line) - evidence.beside(dynamics, line)
     return gain - price_of(spoken.kind, evidence) >= SETTINGS.decisive
+
+
+def _beside_narrow_loads(spoken: Spoken, evidence: Evidence, dynamics: Dynamics) -> bool:
+    """Whether a further mode as narrow as a tone is likelier than a load in narrow bands, which has a few of them.
+
+    Of the many harmonics of a load that repeats one or the other has skirts by chance.
+    """
+    if evidence.narrow_peaks(dynamics) >= SETTINGS.many_peaks:
+        return False
+    return gain_over_narrow_loads(spoken, evidence, dynamics, enough=SETTINGS.band_half) >= SETTINGS.band_half
 
 
 def price_of(kind: str, evidence: Evidence) -> float:
