@@ -16,6 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.error_sources import Noise
 from aerobalance.estimation.force_smoother import SmootherResult
 from aerobalance.estimation.prior import SpectralPrior, periodogram_of
@@ -180,7 +181,7 @@ def interference_assumed(fit: SmootherResult, component: str, *, unit: str) -> I
     component, unit
         Component whose force is meant, and unit of that.
     """
-    taken = [one for one in _bands(fit) if one.taken and one.usual]
+    taken = [one for one in _bands(fit, taken=True) if one.usual]
     if not taken:
         return
     strongest = max(taken, key=lambda one: one.as_force)
@@ -192,22 +193,24 @@ def interference_assumed(fit: SmootherResult, component: str, *, unit: str) -> I
     yield Assumption("interference", component, text, effect, unit)
 
 
-def _bands(fit: SmootherResult) -> Iterator[_Band]:
-    """Narrow bands where the balance weakens a force."""
+def _bands(fit: SmootherResult, *, taken: bool = False) -> Iterator[_Band]:
+    """Narrow bands where the balance weakens a force; of those alone that are taken for one, if so asked."""
     reading, learned = fit.reading, fit.learned
-    if not learned.noise > 0:
+    edges = list(_taken(learned, reading.dynamics))
+    if not learned.noise > 0 or (taken and not edges):
         return
     share = share_seen(reading.present)
     left = np.where(reading.present, reading.filled - fit.columns @ fit.sizes, fit.states[:, LOAD])
     seen = periodogram_of(reading, left - left.mean(), share=share)
     force, load = learned.spectrum.density(seen.frequency), seen.load(learned.spectrum)
     background = seen.background(share * learned.noise**2 * reading.interval)
-    found = [(*edges, True) for edges in _taken(learned, seen)]
-    hidden = (seen.gain < WEAKENED) & (load < background)
-    found += [(*edges, False) for edges in _standing_out(seen, hidden, load + background)]
+    found = [(*one, True) for one in edges]
+    if not taken:
+        hidden = (seen.gain < WEAKENED) & (load < background)
+        found += [(*one, False) for one in _standing_out(seen, hidden, load + background)]
     power, span = np.maximum(seen.density - background, 0.0), float(np.ptp(reading.values[reading.present]))
     known = _power_within(seen, force, np.full(force.size, True)) + float(np.mean(reading.filled)) ** 2
-    for first, last, taken in found:
+    for first, last, as_load in found:
         middle = (first + last) / 2
         if any(abs(middle / (max(round(middle / one), 1) * one) - 1) < SETTINGS.mains for one in MAINS):
             continue
@@ -218,7 +221,7 @@ def _bands(fit: SmootherResult) -> Iterator[_Band]:
         usual = bool(recorded or as_force < SETTINGS.larger**2 * others)
         if as_force > 0:
             probability = SETTINGS.force * (1.0 if usual else SETTINGS.larger**2 * others / as_force)
-            yield _Band(first, last, in_reading, as_force, taken, usual, probability)
+            yield _Band(first, last, in_reading, as_force, as_load, usual, probability)
 
 
 def _power_within(seen: Periodogram, density: Array, inside: NDArray[np.bool_]) -> float:
@@ -226,19 +229,18 @@ def _power_within(seen: Periodogram, density: Array, inside: NDArray[np.bool_]) 
     return float(2 * seen.step * np.sum((density * seen.count)[inside]))
 
 
-def _taken(learned: SpectralPrior, seen: Periodogram) -> Iterator[tuple[float, float]]:
+def _taken(learned: SpectralPrior, dynamics: ModalModel) -> Iterator[tuple[float, float]]:
     """Edges of narrow bands of the force that stand out of what is beside them, where the balance weakens it [Hz]."""
     spectrum = learned.spectrum
     if spectrum.roll_off or spectrum.tail is not None:
         return
-    strong = seen.frequency[seen.gain >= WEAKENED]
-    lowest = float(strong[-1]) if strong.size else 0.0
     levels = np.concatenate([[0.0], spectrum.levels, [0.0]])
     firsts = np.append(0.0, spectrum.edges)[:-1]
+    weakened = np.abs(dynamics.response(firsts)) ** 2 < WEAKENED
     for place, (first, last) in enumerate(zip(firsts.tolist(), spectrum.edges.tolist(), strict=True), start=1):
         beside = max(levels[place - 1], levels[place + 1])
         narrow = last - first < SETTINGS.widest * last
-        if first > lowest and narrow and levels[place] > SETTINGS.stands_out * beside:
+        if weakened[place - 1] and narrow and levels[place] > SETTINGS.stands_out * beside:
             yield first, last
 
 
