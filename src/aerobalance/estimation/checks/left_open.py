@@ -20,6 +20,7 @@ from aerobalance.estimation.checks.mains_hum import (
 from aerobalance.estimation.checks.model_error import as_noise, error_behind
 from aerobalance.estimation.checks.narrow_power import narrow_power
 from aerobalance.estimation.checks.resolution import resolution_doubt, rounding_error
+from aerobalance.estimation.decoupled_record import DecoupledRecord
 from aerobalance.estimation.error_sources import Contribution, Noise
 from aerobalance.estimation.force_smoother import SmootherResult
 from aerobalance.estimation.record import ComponentRecord
@@ -107,7 +108,8 @@ def _of_noise(record: ComponentRecord, signal: SignalModel, fit: SmootherResult,
         told = floor.doubt(component, unit=unit) if floor.missing > SETTINGS.doubtful * rest else None
         missing = np.full(count, floor.missing)
         yield [told] if told else [], [Noise(NOISE_OR_FORCE, component, missing, floor.density)]
-    for narrow in narrow_power(fit):
+    modes = record.coupled.modes if isinstance(record, DecoupledRecord) else record.dynamics.modes
+    for narrow in narrow_power(fit, modes):
         if narrow.missing > COUNTS * rest:
             told = narrow.doubt(component, unit=unit) if narrow.missing > SETTINGS.doubtful * rest else None
             yield [told] if told else [], [narrow.error(component, count=count)]

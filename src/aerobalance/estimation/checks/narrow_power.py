@@ -9,14 +9,14 @@ be one.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.dynamics.modal import ModalModel
+from aerobalance.dynamics.modal import ModalModel, Mode
 from aerobalance.estimation.error_sources import Noise
 from aerobalance.estimation.force_smoother import SmootherResult
 from aerobalance.estimation.prior import SpectralPrior, periodogram_of
@@ -49,6 +49,8 @@ class NarrowSettings:
         Size as a force over all other force, beyond which that is less likely, as its square.
     recorded
         Amplitude over half the span of the readings from which on it is what was recorded, and may have any size.
+    beside
+        Half widths of a mode's resonance within which a band is that.
     mains
         Distance from a multiple of 50 or 60 Hz, over that, within which it is asked as hum.
     """
@@ -59,6 +61,7 @@ class NarrowSettings:
     force: float = 0.5
     larger: float = 2.0
     recorded: float = 0.1
+    beside: float = 4.0
     mains: float = 0.01
 
 
@@ -158,15 +161,25 @@ class NarrowPower:
         return Doubt("interference", component, seen, advice, self.missing, unit)
 
 
-def narrow_power(fit: SmootherResult) -> list[NarrowPower]:
+def narrow_power(fit: SmootherResult, modes: Sequence[Mode]) -> list[NarrowPower]:
     """Return narrow power that may be force or interference, of what is left out and of what is taken for a force.
 
     Parameters
     ----------
     fit
         The force by the smoother, without a doubt about such power.
+    modes
+        All modes of the balance: what a component shows beside one is what its row leaves of the others.
     """
-    bands = list(_bands(fit))
+
+    def of_mode(band: _Band) -> bool:
+        return any(
+            band.first < mode.natural_frequency * (1 + SETTINGS.beside * mode.damping_ratio)
+            and band.last > mode.natural_frequency * (1 - SETTINGS.beside * mode.damping_ratio)
+            for mode in modes
+        )
+
+    bands = [one for one in _bands(fit) if not of_mode(one)]
     apart = [one for one in bands if not one.taken], [one for one in bands if one.taken and not one.usual]
     return [NarrowPower.of(some, interval=fit.reading.interval) for some in apart if some]
 
