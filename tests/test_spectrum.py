@@ -297,7 +297,7 @@ def test_color_above_resonance_is_no_strong_force(rng):
 
 
 def test_long_records_are_averaged(monkeypatch, rng):
-    monkeypatch.setattr("aerobalance.estimation.spectra.periodogram.LONGEST", 2048)
+    monkeypatch.setattr("aerobalance.estimation.spectra.windows.LONGEST", 2048)
     values = felt(rng, lambda f: np.where(f <= 120, 1000.0, 0.0), n=40_000)
     periodogram = Periodogram.of(values - values.mean(), T128, interval=1 / RATE)
     assert periodogram.ordinates.shape[1] == 1022
@@ -310,7 +310,7 @@ def test_long_records_are_averaged(monkeypatch, rng):
 def test_every_sample_of_a_long_record_is_looked_at(count, monkeypatch):
     """Where two windows overlap by half or more, the sum of their squares is a half (sin^4 + cos^4) or more."""
     length = 2048
-    monkeypatch.setattr("aerobalance.estimation.spectra.periodogram.LONGEST", length)
+    monkeypatch.setattr("aerobalance.estimation.spectra.windows.LONGEST", length)
     parts = 1 + int(np.ceil((count - length) / (length // 2)))
     one = 1 / (parts * 3 / 8 * length)  # mean square of a Hann window 3/8
     for place in np.linspace(length // 2, count - length // 2 - 1, 9).astype(int):

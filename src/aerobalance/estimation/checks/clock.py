@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.estimation.spectra.windows import INSIDE, LONGEST, density_of
+from aerobalance.estimation.spectra.windows import INSIDE, density_of, length_of
 from aerobalance.recording.errors import FitError, argument
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import interpolate_gaps
@@ -91,7 +91,7 @@ def _rings_at(recording: Recording, name: str, frequency: float, *, width: float
         return False
     values = interpolate_gaps(recording.channel(name).values)
     density = density_of(values - values.mean(), interval)
-    place = np.fft.rfftfreq(min(values.size, LONGEST), interval)[INSIDE] / frequency
+    place = np.fft.rfftfreq(length_of(values.size), interval)[INSIDE] / frequency
     near = min(max(SAME_FREQUENCY, width, RESOLVED / (recording.whole_duration * frequency)), WIDEST)
     peak = density[np.abs(place - 1) < near]
     beside = density[((place > 0.5) & (place < 0.8)) | ((place > 1.25) & (place < 2.0))]

@@ -21,10 +21,10 @@ from aerobalance.estimation.spectra.windows import (
     HANN_WIDTH,
     INSIDE,
     LOBES,
-    LONGEST,
     density_of,
     leaked,
     leaked_from,
+    length_of,
 )
 from aerobalance.recording.channel import Array
 
@@ -201,7 +201,7 @@ class Periodogram:
         even
             Whether `density` is of an even window.
         """
-        length = min(values.size, LONGEST)
+        length = length_of(values.size)
         grid = _Ordinates.of(dynamics, length, interval)
         if edges is not None:
             grid = grid.averaged_over(edges)
@@ -357,7 +357,7 @@ def averages_for(models: Sequence[ModalModel], samples: int, interval: float) ->
     interval
         Time between samples [s].
     """
-    length = min(samples, LONGEST)
+    length = length_of(samples)
     changes = [np.abs(np.diff(np.log(_Ordinates.of(model, length, interval).gain))) for model in models]
     return _averages(np.concatenate([[0.0], np.cumsum(np.max(changes, axis=0))]))
 

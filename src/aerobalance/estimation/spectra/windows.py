@@ -30,6 +30,11 @@ LOBES: Final = 256
 """Ordinates on either side of an edge up to which the window leaks at all."""
 
 
+def length_of(samples: int) -> int:
+    """Samples of each periodogram of a record of so many."""
+    return min(samples, LONGEST)
+
+
 def leaked(distance: Array) -> Array:
     """Share of a Hann window's power that lies above an edge, at a distance above it in ordinates."""
     return np.asarray(np.interp(distance, _LOBE_PLACE, _LOBE_SHARE))
@@ -76,7 +81,7 @@ def density_of(values: Array, interval: float, *, even: bool = False) -> Array:
         Whether all of a part weighs alike but for `TAPERED` at its ends, as where the load is another there than in
         its middle; else a Hann window weighs it.
     """
-    parts, window = _parts(values), (_even_window if even else _window)(min(values.size, LONGEST))
+    parts, window = _parts(values), (_even_window if even else _window)(length_of(values.size))
     density = np.zeros(window.size // 2 + 1)[INSIDE]
     for part in parts:
         found = rfft(part * window)[INSIDE]
@@ -112,6 +117,6 @@ def share_of(shares: Array) -> float:
 
 def _parts(values: Array) -> list[Array]:
     """Parts of a record of which one periodogram is taken each, half of each or more in the next, from end to end."""
-    length = min(values.size, LONGEST)
+    length = length_of(values.size)
     number = -(-(values.size - length) // max(length // 2, 1)) + 1
     return [values[k : k + length] for k in np.linspace(0, values.size - length, number).astype(int)]
