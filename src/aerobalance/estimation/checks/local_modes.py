@@ -23,6 +23,7 @@ from scipy.optimize import minimize
 
 from aerobalance.dynamics.modal import ModalModel, Mode
 from aerobalance.estimation.checks.averaged_spectrum import BAND, INDEPENDENT, REACH, Averaged, smeared, unsmeared
+from aerobalance.estimation.checks.spoken import OF_LOAD
 from aerobalance.recording.channel import Array
 
 
@@ -45,8 +46,6 @@ class LocalModeSettings:
     most
         Share of a steady load, of either sign, from which on a peak is the load's and no mode: the mode that has more
         than half of it is the one that is known. A tone that wanders, alone, asks for 0.7 and more.
-    of_load
-        Relative distance from the middle of a narrow load within which a peak is the load's.
     excited
         Level of the balance's own resonance over the noise from which its frequency and damping are looked at.
     lack_of_fit
@@ -62,7 +61,6 @@ class LocalModeSettings:
     drops: tuple[float, ...] = (-3.0, 3.0)
     heaviest: float = 0.1
     most: float = 0.5
-    of_load: float = 0.05
     excited: float = 20.0
     lack_of_fit: float = 5.0
     nearby: float = 1e-6
@@ -108,7 +106,7 @@ def missing_mode(
     """
     for centre in _peaks(seen, dynamics):
         band = seen.near(centre)
-        if band.size < 16 or any(abs(centre / load - 1) < SETTINGS.of_load for load in loads):
+        if band.size < 16 or any(abs(centre / load - 1) < OF_LOAD for load in loads):
             continue
         plain = _fit(seen, band, _fixed(dynamics), start=np.zeros(0), scale=np.zeros(0))
         most = _most_likely(seen, band) - SETTINGS.evidence

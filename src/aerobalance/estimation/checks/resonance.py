@@ -28,6 +28,7 @@ from aerobalance.estimation.checks.free_oscillation import (
 from aerobalance.estimation.checks.near_resonance import near_resonance
 from aerobalance.estimation.checks.spoken import (
     MOVED,
+    OF_LOAD,
     SETTINGS,
     Spoken,
     gain_over_narrow_loads,
@@ -217,7 +218,7 @@ def _beside_narrow_loads(
 def _at(spoken: Spoken, kind: str, other: Dynamics) -> bool:
     """Whether other dynamics are of the kind and tell of the frequency of some."""
     away = Spoken(kind, other, 0.0).mode.natural_frequency / spoken.mode.natural_frequency - 1
-    return kind == spoken.kind and abs(away) < SETTINGS.of_load
+    return kind == spoken.kind and abs(away) < OF_LOAD
 
 
 def _without_color(

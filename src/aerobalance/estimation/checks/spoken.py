@@ -78,8 +78,6 @@ class ResonanceSettings:
         Gain before the dynamics have come to their best below which all of a record are those of such a load, and are
         not looked at closer. Of 44 stretches with a tone that wanders all were below -6; of 70 records of other
         dynamics one kind of others of one record was below 0, beside kinds that were above.
-    of_load
-        Relative distance of two frequencies within which both are those of the same narrow load.
     band_unresolved, unresolved
         Gain from which on less damping that the record does not resolve is left open, and its probability: a tone of
         the load at just the natural frequency looks the same. Of 64 sound records of six kinds none came to it.
@@ -124,7 +122,6 @@ class ResonanceSettings:
     band_damped: float = -3.0
     band_mode: float = -5.0
     band_at_first: float = -5.0
-    of_load: float = 0.05
     band_unresolved: float = -1.0
     unresolved: float = 0.5
     many_peaks: int = 8
@@ -135,6 +132,9 @@ class ResonanceSettings:
 
 SETTINGS: Final = ResonanceSettings()
 """Settings that are used."""
+
+OF_LOAD: Final = 0.05
+"""Relative distance of two frequencies within which both are those of the same narrow load."""
 
 SAME_DAMPING: Final = 1e-6
 """Relative difference of two damping ratios that is rounding."""
@@ -184,7 +184,7 @@ def named(spoken: Spoken, evidence: Evidence, dynamics: Dynamics, *, confirmed: 
     if kind == "missing mode":
         mode = other.further_modes[-1]
         if is_line(mode, evidence, width=SETTINGS.line_beside) and not (
-            _beside_its_line(spoken, evidence, dynamics) or _beside_narrow_loads(spoken, evidence, dynamics)
+            _beside_its_line(spoken, evidence, dynamics) or _likelier_than_narrow_loads(spoken, evidence, dynamics)
         ):
             return None
 
@@ -282,7 +282,7 @@ def _beside_its_line(spoken: Spoken, evidence: Evidence, dynamics: Dynamics) -> 
     return gain - price_of(spoken.kind, evidence) >= SETTINGS.decisive
 
 
-def _beside_narrow_loads(spoken: Spoken, evidence: Evidence, dynamics: Dynamics) -> bool:
+def _likelier_than_narrow_loads(spoken: Spoken, evidence: Evidence, dynamics: Dynamics) -> bool:
     """Whether a further mode as narrow as a tone is likelier than a load in narrow bands, which has a few of them.
 
     Of the many harmonics of a load that repeats one or the other has skirts by chance.
