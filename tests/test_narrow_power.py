@@ -43,7 +43,7 @@ def rms(values: np.ndarray) -> float:
 
 @pytest.mark.parametrize("size", [6.0, 20.0])
 def test_a_tone_that_nothing_else_shows_to_be_a_force_is_counted(size, seed):
-    """It was left out of the force in silence: 20 N rms were 14 N off with 3 N of uncertainty, and fit for use."""
+    """It was left out of the force in silence: of 20 N the error was 14 N rms with 3 N of uncertainty, fit for use."""
     record = record_of(tone(size), seed)
     force = force_of(record)
     (doubt,) = told(force)
@@ -69,9 +69,10 @@ def test_narrow_loads_above_the_natural_frequency_are_counted(name, seed):
     (case,) = (one for one in loads_that_change() if one.name == name)
     for place in range(trials(2, 6)):
         found = trial((case, seed + place))
-        assert "interference" in found["kinds"]
+        assert {"interference", "missing mode"} & set(found["kinds"])  # a narrow band of the load looks like a mode
         assert found["verdict"] != Verdict.FIT
-        # of a prior of one half it is 1.4 u where it is a force; a band of five ordinates may be twice as large
+        # of a probability p it is 1 / sqrt(p) u where it is a force: 1.4 of one half, and 2.8 of an eighth, where its
+        # power, of 5 numbers, is 16 times that of the other, of 10: F(5, 10) has that in 0.02 % of records
         assert found["error"] < 2.8 * found["u"]
 
 
@@ -83,7 +84,8 @@ def test_a_tone_beside_a_broad_load_is_a_force(seed):
         force = force_of(case.record(seed + place))
         assert told(force) == []
         (assumed,) = (one for one in force.only.assumed if one.kind == "interference")
-        assert assumed.effect == pytest.approx(20.0 / np.sqrt(2), rel=0.1)
+        # its amplitude in the reading is told to 1.1 %, and noise beside it adds half a percent
+        assert assumed.effect == pytest.approx(20.0 / np.sqrt(2), rel=0.05)
 
 
 def test_a_line_that_would_be_the_largest_force_of_all_is_told(seed):
@@ -99,7 +101,7 @@ def test_a_line_that_would_be_the_largest_force_of_all_is_told(seed):
     expected = np.sqrt(size**2 - SETTINGS.force * SETTINGS.larger**2 * rms(record.force) ** 2)
     # the load's own mean square is known as well as its 600 ordinates tell, to 4 %, and is a sixth of the other
     assert doubt.effect == pytest.approx(expected, rel=0.05)
-    assert rms(force.only.values - record.force) < 1.2 * rms(force.only.uncertainty)
+    assert rms(force.only.values - record.force) < 1.1 * rms(force.only.uncertainty)  # size over that is 1.08
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -109,9 +111,9 @@ def test_what_a_straight_line_leaves_in_a_gap_is_no_interference(seed):
 
 
 @pytest.mark.soak(first=1)
-@pytest.mark.parametrize("low", [100.0, 150.0, 250.0])
-def test_white_noise_and_broad_loads_have_no_interference(low, seed):
-    """Nor has a tone where a force of its size is seen elsewhere."""
+@pytest.mark.parametrize("edge", [100.0, 150.0, 250.0])
+def test_broad_loads_in_white_noise_show_no_interference(edge, seed):
+    """Nor does a tone that wanders below the natural frequency beside them."""
     for place in range(trials(2, 10)):
-        scene = Scene(together(band(60.0, 0, low), wandering(40.0, 42.0)))
+        scene = Scene(together(band(60.0, 0, edge), wandering(40.0, 42.0)))
         assert told(force_of(record_of(scene, seed + place))) == []

@@ -148,7 +148,7 @@ def assumptions_of(
             yield from noise_assumed(fit.reading, fit.learned, name, unit=unit)
         if record.noise is None and hum == "mains" and not fit.reading.hum:
             yield from hum_assumed(fit.reading, fit.learned, unit=unit)
-        yield from interference_assumed(fit, name, unit=unit)
+        yield from interference_assumed(fit, name, record.dynamics.modes, unit=unit)
         yield from _of_single(record, fit, unit)
     elif isinstance(record, DecoupledRecord):
         yield from _of_decoupled(record, fit.force, least=least)

@@ -13,7 +13,7 @@ References
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final, NamedTuple, TypeAlias
 
@@ -96,17 +96,17 @@ class MissingMode(NamedTuple):
 
 
 def missing_mode(
-    seen: Averaged, dynamics: ModalModel, *, largest_share: float = SETTINGS.most, loads: Sequence[float] = ()
+    seen: Averaged, dynamics: ModalModel, *, largest_share: float = SETTINGS.most, load: float | None = None
 ) -> MissingMode | None:
     """The strongest peak that a further mode explains, and neither a smooth load nor the edge of its band does.
 
     A narrow band of the load itself looks the same. A mode has a share below `largest_share` of a steady load; in
     the reading of a decoupled component it may have any, as its row makes of the other components what it does of no
-    force. Peaks at frequencies of `loads` [Hz] are known to be the load's.
+    force. A peak at the frequency `load` [Hz] is known to be the load's.
     """
     for centre in _peaks(seen, dynamics):
         band = seen.near(centre)
-        if band.size < 16 or any(abs(centre / load - 1) < OF_LOAD for load in loads):
+        if band.size < 16 or (load is not None and abs(centre / load - 1) < OF_LOAD):
             continue
         plain = _fit(seen, band, _fixed(dynamics), start=np.zeros(0), scale=np.zeros(0))
         most = _most_likely(seen, band) - SETTINGS.evidence

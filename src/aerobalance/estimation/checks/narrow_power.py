@@ -9,21 +9,23 @@ be one.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.dynamics.modal import ModalModel, Mode
+from aerobalance.dynamics.modal import Mode
 from aerobalance.estimation.error_sources import Noise
 from aerobalance.estimation.force_smoother import SmootherResult
-from aerobalance.estimation.prior import SpectralPrior, periodogram_of
-from aerobalance.estimation.spectra.line_noise import MAINS
+from aerobalance.estimation.prior import periodogram_of
+from aerobalance.estimation.signal_model import LARGEST_HUM
+from aerobalance.estimation.spectra.load_tones import near_mains
 from aerobalance.estimation.spectra.noise_candidates import without_balance
-from aerobalance.estimation.spectra.periodogram import Periodogram
+from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum
 from aerobalance.estimation.spectra.piecewise_psd import WEAKENED, fit_segments, pruned
+from aerobalance.estimation.spectra.whittle import SEGMENT_EVIDENCE
 from aerobalance.estimation.spectra.windows import HANN_WIDTH, share_seen
 from aerobalance.estimation.statespace.kalman import LOAD
 from aerobalance.recording.channel import Array
@@ -37,36 +39,31 @@ class NarrowSettings:
 
     Attributes
     ----------
-    evidence
-        Logarithm of the likelihood that a band must bring, as one of the force must elsewhere.
     widest
         Width of a band over its frequency up to which it is narrow: broad ones are compared as force and as noise.
     stands_out
         Density of a force over that on either side from which on it is a band of its own.
     force
-        Prior probability that it is a force.
+        Probability that it is a force.
     larger
-        Size as a force over all other force, beyond which that is less likely, as its square.
-    recorded
-        Amplitude over half the span of the readings from which on it is what was recorded, and may have any size.
+        Size as a force over all other force, beyond which that is less likely, as its square; a line that is a large
+        part of the readings is what was recorded, and may have any size.
     beside
         Half widths of a mode's resonance within which a band is that.
-    mains
-        Distance from a multiple of 50 or 60 Hz, over that, within which it is asked as hum.
     """
 
-    evidence: float = 25.0
     widest: float = 0.1
     stands_out: float = 2.0
     force: float = 0.5
     larger: float = 2.0
-    recorded: float = 0.1
     beside: float = 4.0
-    mains: float = 0.01
 
 
 SETTINGS: Final = NarrowSettings()
 """Settings that are used."""
+
+FORCE_OR_INTERFERENCE: Final = "what may be force or interference"
+"""Name of the error."""
 
 BINS: Final = 4096
 """Frequencies from zero to half the sampling rate at which the spectrum of the error is kept."""
@@ -129,7 +126,7 @@ class NarrowPower:
 
     def error(self, component: str, *, count: int) -> Noise:
         """Contribution to the uncertainty of a force of so many samples, of a component [N]."""
-        return Noise("what may be force or interference", component, np.full(count, self.missing), self.density)
+        return Noise(FORCE_OR_INTERFERENCE, component, np.full(count, self.missing), self.density)
 
     def doubt(self, component: str, *, unit: str) -> Doubt:
         """Doubt that it may be the other."""
@@ -154,9 +151,8 @@ class NarrowPower:
             )
         seen += f"; {self.missing:.2g} {unit} rms of the uncertainty are for that"
         advice = (
-            "look for it in a record without load: where it is there as well, name a steady line with "
-            f"{argument('hum')}, or give that record as the noise ({argument('noise')}); a force there wants a "
-            "balance with a higher natural frequency"
+            "look for it in a record without load: a steady line that is there as well is named with "
+            f"{argument('hum')}; a force there wants a balance with a higher natural frequency"
         )
         return Doubt("interference", component, seen, advice, self.missing, unit)
 
@@ -167,38 +163,39 @@ def narrow_power(fit: SmootherResult, modes: Sequence[Mode]) -> list[NarrowPower
     Parameters
     ----------
     fit
-        The force by the smoother, without a doubt about such power.
+        The force by the smoother.
     modes
         All modes of the balance: what a component shows beside one is what its row leaves of the others.
     """
-
-    def of_mode(band: _Band) -> bool:
-        return any(
-            band.first < mode.natural_frequency * (1 + SETTINGS.beside * mode.damping_ratio)
-            and band.last > mode.natural_frequency * (1 - SETTINGS.beside * mode.damping_ratio)
-            for mode in modes
-        )
-
-    bands = [one for one in _bands(fit) if not of_mode(one)]
-    apart = [one for one in bands if not one.taken], [one for one in bands if one.taken and not one.usual]
-    return [NarrowPower.of(some, interval=fit.reading.interval) for some in apart if some]
+    seen = _Seen.of(fit)
+    if seen is None:
+        return []
+    left_out = list(_bands(fit, seen, _standing_out(seen), modes, taken=False))
+    unusual = [one for one in _bands(fit, seen, _taken(fit), modes, taken=True) if not one.usual]
+    return [NarrowPower.of(some, interval=fit.reading.interval) for some in (left_out, unusual) if some]
 
 
-def interference_assumed(fit: SmootherResult, component: str, *, unit: str) -> Iterator[Assumption]:
+def interference_assumed(
+    fit: SmootherResult, component: str, modes: Sequence[Mode], *, unit: str
+) -> Iterator[Assumption]:
     """Yield that narrow bands above the natural frequency are a force, where they are taken for one of usual size.
 
     Parameters
     ----------
-    fit
-        The force by the smoother.
+    fit, modes
+        As of `narrow_power`.
     component, unit
         Component whose force is meant, and unit of that.
     """
-    taken = [one for one in _bands(fit, taken=True) if one.usual]
-    if not taken:
+    edges = list(_taken(fit))
+    seen = _Seen.of(fit) if edges else None
+    if seen is None:
         return
-    strongest = max(taken, key=lambda one: one.as_force)
-    effect = float(np.sqrt(sum(one.as_force for one in taken)))
+    usual = [one for one in _bands(fit, seen, edges, modes, taken=True) if one.usual]
+    if not usual:
+        return
+    strongest = max(usual, key=lambda one: one.as_force)
+    effect = float(np.sqrt(sum(one.as_force for one in usual)))
     text = (
         f"what {component} shows at {(strongest.first + strongest.last) / 2:.4g} Hz is a force and no interference of "
         f"the electronics, which would look the same: it is {effect:.2g} {unit} rms of the force"
@@ -206,65 +203,105 @@ def interference_assumed(fit: SmootherResult, component: str, *, unit: str) -> I
     yield Assumption("interference", component, text, effect, unit)
 
 
-def _bands(fit: SmootherResult, *, taken: bool = False) -> Iterator[_Band]:
-    """Narrow bands where the balance weakens a force; of those alone that are taken for one, if so asked."""
-    reading, learned = fit.reading, fit.learned
-    edges = list(_taken(learned, reading.dynamics))
-    if not learned.noise > 0 or (taken and not edges):
-        return
-    share = share_seen(reading.present)
-    left = np.where(reading.present, reading.filled - fit.columns @ fit.sizes, fit.states[:, LOAD])
-    seen = periodogram_of(reading, left - left.mean(), share=share)
-    force, load = learned.spectrum.density(seen.frequency), seen.load(learned.spectrum)
-    background = seen.background(share * learned.noise**2 * reading.interval)
-    found = [(*one, True) for one in edges]
-    if not taken:
-        hidden = (seen.gain < WEAKENED) & (load < background)
-        found += [(*one, False) for one in _standing_out(seen, hidden, load + background)]
-    power, span = np.maximum(seen.density - background, 0.0), float(np.ptp(reading.values[reading.present]))
-    known = _power_within(seen, force, np.full(force.size, True)) + float(np.mean(reading.filled)) ** 2
-    for first, last, as_load in found:
-        middle = (first + last) / 2
-        if any(abs(middle / (max(round(middle / one), 1) * one) - 1) < SETTINGS.mains for one in MAINS):
+class _Seen(NamedTuple):
+    """The averaged periodogram of what is left of the readings, and what is expected of it.
+
+    Attributes
+    ----------
+    periodogram
+        Of the readings without constant, steps, tones and hum, gaps bridged.
+    share
+        Share of the readings that it sees [1].
+    force, load, background
+        Density of the force that was learned, of its load, and of noise, shape (m,) each [N^2/Hz].
+    """
+
+    periodogram: Periodogram
+    share: float
+    force: Array
+    load: Array
+    background: Array
+
+    @classmethod
+    def of(cls, fit: SmootherResult) -> _Seen | None:
+        """Take the readings of a force; None where they have no noise."""
+        reading, learned = fit.reading, fit.learned
+        if not learned.noise > 0:
+            return None
+        share = share_seen(reading.present)
+        left = np.where(reading.present, reading.filled - fit.columns @ fit.sizes, fit.states[:, LOAD])
+        seen = periodogram_of(reading, left - left.mean(), share=share)
+        background = seen.background(share * learned.noise**2 * reading.interval)
+        return cls(seen, share, learned.spectrum.density(seen.frequency), seen.load(learned.spectrum), background)
+
+
+def _bands(
+    fit: SmootherResult,
+    seen: _Seen,
+    edges: Iterable[tuple[float, float]],
+    modes: Sequence[Mode],
+    *,
+    taken: bool,
+) -> Iterator[_Band]:
+    """What narrow bands between edges [Hz] are, but those of hum and of modes; all are taken for a force, or none."""
+    periodogram, values = seen.periodogram, fit.reading.values[fit.reading.present]
+    power, step = np.maximum(periodogram.density - seen.background, 0.0), periodogram.step
+    known = _power_within(periodogram, seen.force, slice(None)) + float(np.mean(values)) ** 2
+    recorded = 0.5 * (LARGEST_HUM * float(np.ptp(values)) / 2) ** 2
+    for first, last in edges:
+        if near_mains(np.array([(first + last) / 2]), ordinate=step)[0] or _of_mode(first, last, modes):
             continue
-        inside = (seen.frequency > first - HANN_WIDTH * seen.step) & (seen.frequency < last + HANN_WIDTH * seen.step)
-        in_reading, as_force = (_power_within(seen, one, inside) / share for one in (power, power / seen.gain))
-        others = max(known - _power_within(seen, force, inside), 0.0)
-        recorded = np.sqrt(2 * in_reading) > SETTINGS.recorded * span / 2
-        usual = bool(recorded or as_force < SETTINGS.larger**2 * others)
-        if as_force > 0:
-            probability = SETTINGS.force * (1.0 if usual else SETTINGS.larger**2 * others / as_force)
-            yield _Band(first, last, in_reading, as_force, as_load, usual, probability)
+        frequency = periodogram.frequency
+        inside = (frequency > first - HANN_WIDTH * step) & (frequency < last + HANN_WIDTH * step)
+        in_reading, as_force = (
+            _power_within(periodogram, one, inside) / seen.share for one in (power, power / periodogram.gain)
+        )
+        if not as_force > 0:
+            continue
+        others = max(known - _power_within(periodogram, seen.force, inside), 0.0)
+        larger = SETTINGS.larger**2 * others / as_force
+        usual = in_reading > recorded or larger > 1
+        probability = SETTINGS.force * (1.0 if usual else larger)
+        yield _Band(first, last, in_reading, as_force, taken, usual, probability)
 
 
-def _power_within(seen: Periodogram, density: Array, inside: NDArray[np.bool_]) -> float:
-    """Mean square of a two-sided density, (m,) [N^2/Hz], within some averages, (m,) [N^2]."""
+def _of_mode(first: float, last: float, modes: Sequence[Mode]) -> bool:
+    """Whether a band between two frequencies [Hz] lies beside one of some modes."""
+    reach = [(mode.natural_frequency, SETTINGS.beside * mode.damping_ratio) for mode in modes]
+    return any(first < centre * (1 + half) and last > centre * (1 - half) for centre, half in reach)
+
+
+def _power_within(seen: Periodogram, density: Array, inside: NDArray[np.bool_] | slice) -> float:
+    """Mean square of a two-sided density, (m,) [N^2/Hz], within some averages [N^2]."""
     return float(2 * seen.step * np.sum((density * seen.count)[inside]))
 
 
-def _taken(learned: SpectralPrior, dynamics: ModalModel) -> Iterator[tuple[float, float]]:
+def _taken(fit: SmootherResult) -> Iterator[tuple[float, float]]:
     """Edges of narrow bands of the force that stand out of what is beside them, where the balance weakens it [Hz]."""
-    spectrum = learned.spectrum
+    spectrum = fit.learned.spectrum
     if spectrum.roll_off or spectrum.tail is not None:
         return
-    levels = np.concatenate([[0.0], spectrum.levels, [0.0]])
+    beside = np.concatenate([[0.0], spectrum.levels, [0.0]])
     firsts = np.append(0.0, spectrum.edges)[:-1]
-    weakened = np.abs(dynamics.response(firsts)) ** 2 < WEAKENED
-    for place, (first, last) in enumerate(zip(firsts.tolist(), spectrum.edges.tolist(), strict=True), start=1):
-        beside = max(levels[place - 1], levels[place + 1])
-        narrow = last - first < SETTINGS.widest * last
-        if weakened[place - 1] and narrow and levels[place] > SETTINGS.stands_out * beside:
-            yield first, last
+    stands_out = spectrum.levels > SETTINGS.stands_out * np.maximum(beside[:-2], beside[2:])
+    weakened = np.abs(fit.reading.dynamics.response(firsts)) ** 2 < WEAKENED
+    yield from _narrow(spectrum, stands_out & weakened)
 
 
-def _standing_out(seen: Periodogram, where: NDArray[np.bool_], model: Array) -> Iterator[tuple[float, float]]:
-    """Edges of narrow bands that stand out of what is expected of the reading, (m,), in some averages, (m,) [Hz]."""
+def _standing_out(seen: _Seen) -> Iterator[tuple[float, float]]:
+    """Edges of narrow bands that stand out where no force was learned and the balance would weaken it [Hz]."""
+    where = (seen.periodogram.gain < WEAKENED) & (seen.load < seen.background)
     if not where.any():
         return
-    alone = replace(without_balance(seen, where), color=np.repeat(model, seen.count))
+    expected = np.repeat(seen.load + seen.background, seen.periodogram.count)
+    alone = replace(without_balance(seen.periodogram, where), color=expected)
     found = fit_segments(alone, 0.0)
-    found = pruned(found, alone, lambda power: alone.log_likelihood(power, 0.0), worth=SETTINGS.evidence)
-    firsts = np.append(0.0, found.edges)[:-1]
-    for first, last, level in zip(firsts.tolist(), found.edges.tolist(), found.levels.tolist(), strict=True):
-        if level > 0 and last - first < SETTINGS.widest * last:
-            yield first, last
+    found = pruned(found, alone, lambda power: alone.log_likelihood(power, 0.0), worth=SEGMENT_EVIDENCE)
+    yield from _narrow(found, found.levels > 0)
+
+
+def _narrow(spectrum: Spectrum, which: NDArray[np.bool_]) -> Iterator[tuple[float, float]]:
+    """Edges of those of some segments of a spectrum, shape (s,), that are narrow [Hz]."""
+    firsts = np.append(0.0, spectrum.edges)[:-1]
+    narrow = which & (spectrum.edges - firsts < SETTINGS.widest * spectrum.edges)
+    yield from zip(firsts[narrow].tolist(), spectrum.edges[narrow].tolist(), strict=True)

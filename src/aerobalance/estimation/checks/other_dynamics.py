@@ -242,11 +242,11 @@ def other_dynamics_in(
         color_found=record.noise is None,
     )
     spoken = ask(without_steady_tones(reading.values), steps=[*within, *slopes], beside_steps=beside_steps)
-    loads = list[float]()
+    load = None
     if spoken is not None and spoken.probability == 0:
-        loads, spoken = [spoken.mode.natural_frequency], None
+        load, spoken = spoken.mode.natural_frequency, None
     # of 168 records of 10 s and more with other dynamics, all along or in a part, none looked like narrow loads alone
-    if not loads and (spoken is None or spoken.kind != "no resonance"):
+    if load is None and (spoken is None or spoken.kind != "no resonance"):
         changed = _changed_along(record, ask, steps=steps, lines=lines, whole=spoken)
         if changed is not None:
             return changed
@@ -254,7 +254,7 @@ def other_dynamics_in(
         return _spoken(spoken, dynamics)
     left = beside_steps(dynamics, within)
     found = _possible(
-        _in_spectrum(left, dynamics, interval=reading.interval, noise=noise, loads=loads),
+        _in_spectrum(left, dynamics, interval=reading.interval, noise=noise, load=load),
         most=float(np.nanstd(known)),
     )
     if found.missing is not None and (
@@ -383,13 +383,13 @@ def _possible(found: OtherDynamics, *, most: float) -> OtherDynamics:
 
 
 def _in_spectrum(
-    values: Array, dynamics: Dynamics, *, interval: float, noise: float, loads: Sequence[float]
+    values: Array, dynamics: Dynamics, *, interval: float, noise: float, load: float | None
 ) -> OtherDynamics:
-    """What the spectrum of a record tells, which shows loads in narrow bands about some frequencies [Hz]."""
+    """What the spectrum of a record tells, which may show a load in a narrow band about some frequency [Hz]."""
     seen = Averaged.of(values, interval=interval, noise=noise)
     if seen is None:
         return OtherDynamics(dynamics.component)
-    found = missing_mode(seen, dynamics, loads=loads)
+    found = missing_mode(seen, dynamics, load=load)
     size = None
     if found is not None:
         mode = found.mode

@@ -145,6 +145,23 @@ def load_tones(
     return drifting._replace(drift=drift)
 
 
+def near_mains(frequency: Array, *, ordinate: float) -> NDArray[np.bool_]:
+    """Whether lines at some frequencies may be hum that drifts, of their shape.
+
+    Parameters
+    ----------
+    frequency
+        The frequencies [Hz].
+    ordinate
+        What the record resolves [Hz].
+    """
+    near = np.zeros(np.shape(frequency), dtype=np.bool_)
+    for mains in MAINS:
+        harmonic = mains * np.maximum(np.rint(frequency / mains), 1)
+        near |= np.abs(frequency - harmonic) <= np.maximum(NEAR_MAINS * harmonic, WIDTH * ordinate)
+    return near
+
+
 def _tones_in(
     values: Array, interval: float, dynamics: ModalModel, *, hum: Sequence[float]
 ) -> tuple[LoadTones, LineSearch]:
@@ -159,10 +176,7 @@ def _tones_in(
         for mode in dynamics.modes:
             width = max(BESIDE_A_MODE[0] * mode.damping_ratio * mode.natural_frequency, BESIDE_A_MODE[1] * ordinate)
             allowed &= np.abs(frequency - mode.natural_frequency) > width
-        for mains in () if of_mains else MAINS:
-            number = np.maximum(np.rint(frequency / mains), 1)
-            allowed &= np.abs(frequency - number * mains) > np.maximum(NEAR_MAINS * number * mains, WIDTH * ordinate)
-        return np.asarray(allowed)
+        return np.asarray(allowed if of_mains else allowed & ~near_mains(frequency, ordinate=ordinate))
 
     every = np.asarray(np.arange(count // 2 + 1) * ordinate, dtype=np.float64)
     left = LineSearch.of(values - values.mean(), may_be(every), np.abs(dynamics.response(every)) ** 2)
