@@ -10,7 +10,7 @@ be one.
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -22,10 +22,9 @@ from aerobalance.estimation.force_smoother import SmootherResult
 from aerobalance.estimation.prior import periodogram_of
 from aerobalance.estimation.signal_model import LARGEST_HUM
 from aerobalance.estimation.spectra.load_tones import near_mains
-from aerobalance.estimation.spectra.noise_candidates import without_balance
-from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum
-from aerobalance.estimation.spectra.piecewise_psd import WEAKENED, fit_segments, pruned
-from aerobalance.estimation.spectra.whittle import SEGMENT_EVIDENCE
+from aerobalance.estimation.spectra.noise_candidates import narrow_bands, standing_out
+from aerobalance.estimation.spectra.periodogram import Periodogram
+from aerobalance.estimation.spectra.piecewise_psd import WEAKENED
 from aerobalance.estimation.spectra.windows import HANN_WIDTH, share_seen
 from aerobalance.estimation.statespace.kalman import LOAD
 from aerobalance.recording.channel import Array
@@ -39,8 +38,6 @@ class NarrowSettings:
 
     Attributes
     ----------
-    widest
-        Width of a band over its frequency up to which it is narrow: broad ones are compared as force and as noise.
     stands_out
         Density of a force over that on either side from which on it is a band of its own.
     force
@@ -52,7 +49,6 @@ class NarrowSettings:
         Half widths of a mode's resonance within which a band is that.
     """
 
-    widest: float = 0.1
     stands_out: float = 2.0
     force: float = 0.5
     larger: float = 2.0
@@ -170,7 +166,7 @@ def narrow_power(fit: SmootherResult, modes: Sequence[Mode]) -> list[NarrowPower
     seen = _Seen.of(fit)
     if seen is None:
         return []
-    left_out = list(_bands(fit, seen, _standing_out(seen), modes, taken=False))
+    left_out = list(_bands(fit, seen, standing_out(seen.periodogram, seen.load, seen.background), modes, taken=False))
     unusual = [one for one in _bands(fit, seen, _taken(fit), modes, taken=True) if not one.usual]
     return [NarrowPower.of(some, interval=fit.reading.interval) for some in (left_out, unusual) if some]
 
@@ -285,23 +281,4 @@ def _taken(fit: SmootherResult) -> Iterator[tuple[float, float]]:
     firsts = np.append(0.0, spectrum.edges)[:-1]
     stands_out = spectrum.levels > SETTINGS.stands_out * np.maximum(beside[:-2], beside[2:])
     weakened = np.abs(fit.reading.dynamics.response(firsts)) ** 2 < WEAKENED
-    yield from _narrow(spectrum, stands_out & weakened)
-
-
-def _standing_out(seen: _Seen) -> Iterator[tuple[float, float]]:
-    """Edges of narrow bands that stand out where no force was learned and the balance would weaken it [Hz]."""
-    where = (seen.periodogram.gain < WEAKENED) & (seen.load < seen.background)
-    if not where.any():
-        return
-    expected = np.repeat(seen.load + seen.background, seen.periodogram.count)
-    alone = replace(without_balance(seen.periodogram, where), color=expected)
-    found = fit_segments(alone, 0.0)
-    found = pruned(found, alone, lambda power: alone.log_likelihood(power, 0.0), worth=SEGMENT_EVIDENCE)
-    yield from _narrow(found, found.levels > 0)
-
-
-def _narrow(spectrum: Spectrum, which: NDArray[np.bool_]) -> Iterator[tuple[float, float]]:
-    """Edges of those of some segments of a spectrum, shape (s,), that are narrow [Hz]."""
-    firsts = np.append(0.0, spectrum.edges)[:-1]
-    narrow = which & (spectrum.edges - firsts < SETTINGS.widest * spectrum.edges)
-    yield from zip(firsts[narrow].tolist(), spectrum.edges[narrow].tolist(), strict=True)
+    yield from narrow_bands(spectrum, stands_out & weakened)

@@ -25,9 +25,10 @@ from aerobalance.estimation.spectra.piecewise_psd import (
     WEAKENED,
     NoiseLevels,
     fit_segments,
+    pruned,
     sharpened,
 )
-from aerobalance.estimation.spectra.whittle import quiet_levels
+from aerobalance.estimation.spectra.whittle import SEGMENT_EVIDENCE, quiet_levels
 from aerobalance.recording.channel import Array
 
 DIFFERENT: Final = 1.5
@@ -43,7 +44,8 @@ NEXT: Final = 0.1
 """Square of the response down to which such a level is looked for: up to twice the natural frequency."""
 
 NARROW: Final = 0.1
-"""Distance from the highest level of a noise, over its frequency, at which it is asked whether that is a resonance."""
+"""Distance from the highest level of a noise, over its frequency, at which it is asked whether that is a resonance.
+And width of a band, over its frequency, up to which it is narrow."""
 
 STANDS_OUT: Final = 3.0
 """Density there, over that on either side, from which on it is: an edge of a band has its level on one side."""
@@ -128,6 +130,32 @@ def without_balance(periodogram: Periodogram, where: NDArray[np.bool_]) -> Perio
         color=np.repeat(periodogram.background(0.0), periodogram.count),
         gains_above={},
     )
+
+
+def narrow_bands(spectrum: Spectrum, which: NDArray[np.bool_]) -> list[tuple[float, float]]:
+    """Return the edges of those of some segments of a spectrum, shape (s,), that are narrow [Hz]."""
+    firsts = np.append(0.0, spectrum.edges)[:-1]
+    narrow = which & (spectrum.edges - firsts < NARROW * spectrum.edges)
+    return list(zip(firsts[narrow].tolist(), spectrum.edges[narrow].tolist(), strict=True))
+
+
+def standing_out(periodogram: Periodogram, load: Array, background: Array) -> list[tuple[float, float]]:
+    """Return the edges of narrow bands that stand out where no force shows and the balance would weaken it [Hz].
+
+    Parameters
+    ----------
+    periodogram
+        Of the reading.
+    load, background
+        Density that is expected of the force's load and of noise, shape (m,) each [N^2/Hz].
+    """
+    where = (periodogram.gain < WEAKENED) & (load < background)
+    if not where.any():
+        return []
+    alone = replace(without_balance(periodogram, where), color=np.repeat(load + background, periodogram.count))
+    found = fit_segments(alone, 0.0)
+    found = pruned(found, alone, lambda power: alone.log_likelihood(power, 0.0), worth=SEGMENT_EVIDENCE)
+    return narrow_bands(found, found.levels > 0)
 
 
 def _continued(found: NoiseLevels, periodogram: Periodogram) -> Iterator[NoiseLevels]:

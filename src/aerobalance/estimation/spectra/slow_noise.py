@@ -14,12 +14,13 @@ import numpy as np
 from scipy.special import expit
 
 from aerobalance.estimation.prior import Observation, SpectralPrior, periodogram_of
+from aerobalance.estimation.spectra.noise_candidates import standing_out
 from aerobalance.estimation.spectra.noise_ordinates import Ordinates
 from aerobalance.estimation.spectra.noise_record import likeliest_slow
 from aerobalance.estimation.spectra.noise_spectrum import SLOWEST, NoiseSpectrum
 from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum
 from aerobalance.estimation.spectra.whittle import SpectrumFit, evidence_of, fit_spectrum
-from aerobalance.estimation.spectra.windows import share_seen
+from aerobalance.estimation.spectra.windows import HANN_WIDTH, share_seen
 from aerobalance.recording.channel import Array
 
 EVEN: Final = 5.0
@@ -123,6 +124,17 @@ def slow_noise_of(
     starts = [_promise(periodogram, one, plain) for one in (learned.spectrum, nothing)]
     if max(gain for gain, _ in starts) < WORTH_A_LOOK:
         return None
+    # a line that is left out raises the density about it, as noise of a color does
+    background = periodogram.background(plain.noise_density)
+    narrow = standing_out(periodogram, periodogram.load(plain.spectrum), background)
+    if narrow:
+        reach = HANN_WIDTH * periodogram.step
+        hidden = [
+            (periodogram.frequency > first - reach) & (periodogram.frequency < last + reach) for first, last in narrow
+        ]
+        periodogram = periodogram.without(np.any(hidden, axis=0), leaks=True)
+        plain = evidence_of(learned.spectrum, periodogram, plain.noise_density, floor=floor)
+        starts = [_promise(periodogram, one, plain) for one in (learned.spectrum, nothing)]
     again = fit_spectrum(periodogram, floor=floor, rising=reading.rising)
     plain = max(plain, again, key=lambda fit: fit.evidence)
     found = [
