@@ -54,8 +54,8 @@ def test_a_tone_that_nothing_else_shows_to_be_a_force_is_counted(size, seed):
     u = NOISE * np.sqrt(2 / record.force.size) / amplitude
     assert doubt.effect == pytest.approx(np.sqrt(SETTINGS.force) * error, rel=4 * u + 10 ** (1 / 40) - 1)
     assert rms(force.only.uncertainty) > 0.9 * doubt.effect
-    # the line was a color of the noise as well, 1/f up to all frequencies
-    assert [doubt.kind for doubt in force.doubts] == ["interference"]
+    # the line may pass for a color of the noise as well, 1/f up to all frequencies, of which nothing is in the force
+    assert all(one.kind == "colored noise" and one.effect == 0 for one in force.doubts if one is not doubt)
 
 
 def test_a_tone_that_is_named_as_hum_is_none(seed):

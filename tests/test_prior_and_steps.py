@@ -423,7 +423,7 @@ def test_the_search_for_steps_says_that_it_has_ended(second, found, told, rng, m
 
 
 @pytest.mark.soak(first=1)
-@pytest.mark.parametrize(("off", "most"), [(1.002, 2), (1.005, step_search.SETTINGS.fewest_steps)])
+@pytest.mark.parametrize(("off", "most"), [(1.002, 3), (1.005, step_search.SETTINGS.fewest_steps)])
 def test_steps_are_found_with_a_frequency_a_little_off(off, most, rng):
     time = np.arange(6400) / RATE
     load = STEP * T128.step_response(time - 1.0002) + 30 * T128.step_response(time - 1.6)
@@ -434,7 +434,7 @@ def test_steps_are_found_with_a_frequency_a_little_off(off, most, rng):
     # up to 0.25 %, a twentieth of a sample in the phase of each period; the phase fixes the middle of a step
     middles = np.array([step.instant + step.duration / 2 for step in steps])
     assert all(np.min(np.abs(middles - true)) < 1 / RATE for true in (1.0002, 1.6))
-    assert len(steps) <= most  # at 0.25 % some draws in a hundred have a few that are none
+    assert len(steps) <= most  # at 0.1 % less than one draw in 150 has one that is none, at 0.25 % some in a hundred
 
 
 def test_a_search_in_a_record_of_another_balance_ends_and_the_balance_is_doubted(rng):

@@ -159,7 +159,7 @@ def tap_record(recording: Recording, components: tuple[str, ...]) -> TapRecord:
     corner, u_corner = _corner(readings, found, recording.rate, scatter)
     if corner > SETTINGS.droop * u_corner:
         readings = readings + 2 * np.pi * corner / recording.rate * np.cumsum(np.nan_to_num(readings))
-        readings = _rebased(readings, found)
+        readings = _rebased(readings, found, scatter)
         found = _contacts(readings, scatter, recording.rate)
     else:
         corner = 0.0
@@ -240,11 +240,9 @@ def _corner(readings: Array, blows: list[list[tuple[int, int]]], rate: float, sc
     A first-order high-pass of the corner c takes 2 pi c times the integral of what it puts out off the force. Between
     the taps the force is zero, so the readings there tell c.
     """
-    known = np.nan_to_num(readings)
+    free, wild = _between(readings, blows, scatter)
+    known = np.where(wild, 0.0, np.nan_to_num(readings))
     integral = -2 * np.pi * np.cumsum(known) / rate
-    free = np.isfinite(readings)
-    for blow in blows:
-        free[blow[0][0] : blow[-1][1] + 1] = False
     time = np.arange(readings.size) / readings.size
     table = np.column_stack([integral, np.ones(time.size), time])[free]
     table[:, 0] -= table[:, 0].mean()
@@ -255,11 +253,25 @@ def _corner(readings: Array, blows: list[list[tuple[int, int]]], rate: float, sc
     return float(coefficients[0]), u
 
 
-def _rebased(readings: Array, blows: list[list[tuple[int, int]]]) -> Array:
-    """Readings less a straight line through those before the taps and between them."""
+def _between(
+    readings: Array, blows: list[list[tuple[int, int]]], scatter: float
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which readings are before the taps and between them, and which stand out alone there, shape (n,) each.
+
+    A single reading that is none of the force would pass for the slow changes that a high-pass puts out.
+    """
     free = np.isfinite(readings)
     for blow in blows:
         free[blow[0][0] : blow[-1][1] + 1] = False
+    steps = np.diff(np.nan_to_num(readings), prepend=0.0, append=0.0)
+    out, back = steps[:-1], -steps[1:]
+    wild = free & (out * back > 0) & (np.minimum(np.abs(out), np.abs(back)) > SETTINGS.loud * scatter)
+    return free & ~wild, wild
+
+
+def _rebased(readings: Array, blows: list[list[tuple[int, int]]], scatter: float) -> Array:
+    """Readings less a straight line through those before the taps and between them."""
+    free, _ = _between(readings, blows, scatter)
     time = np.arange(readings.size, dtype=np.float64)
     line = np.polyfit(time[free], readings[free], 1)
     return readings - np.polyval(line, time)
