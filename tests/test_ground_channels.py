@@ -129,11 +129,17 @@ def test_a_gain_of_nine_tenths_is_found(seed):
     assert chance <= 1
 
 
-@pytest.mark.soak(first=0)
-def test_of_motions_that_go_together_the_channel_at_fault_is_named(rng):
-    """All accelerations are shares of one: by one load alone, any of them could be late."""
-    record = shaken(rng, together=True).with_gain("ground_acceleration_z", -1.0).used
+@pytest.mark.soak(first=1)
+@pytest.mark.parametrize("given", [13, None])
+def test_of_motions_that_go_together_the_channel_at_fault_is_named(given, rng):
+    """All accelerations are shares of one: by one load alone, any of them could be late.
+
+    With the seed 13 a turn that is late by half a period stood for the sign of the acceleration: NF was 220 u off.
+    """
+    drawn = rng if given is None else np.random.default_rng(given)
+    record = shaken(drawn, together=True).with_gain("ground_acceleration_z", -1.0).used
     force = record.force
+    assert max(record.ratios(force).values()) < 1.5
     assert {doubt.text.split("what ")[1].split()[0] for doubt in about_ground(force)} == {"ground_acceleration_z"}
 
 

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -162,15 +163,16 @@ def ground_findings(asked: Witnesses) -> dict[str, GroundFindings]:
     }
 
 
-def _faults(asked: Witnesses, looks: Sequence[_Look]) -> dict[str, list[GroundFault]]:
+def _faults(asked: Witnesses, looks: Sequence[_Look]) -> Mapping[str, list[GroundFault]]:
     """What the loads say of the channels, by component."""
     lateness = [look.far for look in looks if look.far is not None]
+    near = _together(asked, [look.shapes for look in looks if look.shapes is not None])
     if lateness:
         hint, shapes = max(lateness, key=lambda one: one[0].gained)
-        found = _far(asked, shapes, samples=hint.samples)
-        if found is not None:
-            return found
-    return _together(asked, [look.shapes for look in looks if look.shapes is not None])
+        # of motions that all take the same course a delay of one may stand for the sign of another
+        far = _far(asked, shapes, samples=hint.samples)
+        return far.faults if far.explained > near.explained else near.faults
+    return near.faults
 
 
 def _assumed(witness: Witness, place: int, untold: Mapping[str, Array]) -> Iterator[Assumption]:
@@ -196,11 +198,18 @@ def _assumed(witness: Witness, place: int, untold: Mapping[str, Array]) -> Itera
             yield Assumption(kind, component, text, effect, unit)
 
 
-def _together(asked: Witnesses, suspects: list[ChannelShapes]) -> dict[str, list[GroundFault]]:
+class _Faults(NamedTuple):
+    """What the loads say of channels, by component, and the squares of the white readings that it explains [1]."""
+
+    explained: float = 0.0
+    faults: Mapping[str, list[GroundFault]] = MappingProxyType({})
+
+
+def _together(asked: Witnesses, suspects: list[ChannelShapes]) -> _Faults:
     """What the loads say of several channels: first the one that explains most of them, then the others beside it."""
     chosen: list[int] = []
     if not suspects:
-        return {}
+        return _Faults()
     white = _without(asked, suspects)
     columns = [white.columns(one.felt) for one in suspects]
 
@@ -231,13 +240,14 @@ def _together(asked: Witnesses, suspects: list[ChannelShapes]) -> dict[str, list
         best, chosen = found, [*chosen, place]
         if not own.clear(asked.sure):
             break  # what the record leaves open explains nothing beside it
-    return {
+    found_in = {
         one.record.dynamics.component: [
             _fault(asked, suspects[place], best.of_channel(number), suspects[place].felt[row])
             for number, place in enumerate(chosen)
         ]
         for row, one in enumerate(asked.all)
     }
+    return _Faults(best.explained, found_in)
 
 
 def _agree(white: White, own: Lines, expected: Array, *, gained: float) -> bool:
@@ -371,8 +381,8 @@ def _peak_of(gains: Array) -> tuple[float, float]:
     return top + float(np.clip(slope * u**2, away[0], away[-1])), u
 
 
-def _far(asked: Witnesses, shapes: ChannelShapes, *, samples: int) -> dict[str, list[GroundFault]] | None:
-    """What the loads say of a channel that is later than slopes tell; None where it is not.
+def _far(asked: Witnesses, shapes: ChannelShapes, *, samples: int) -> _Faults:
+    """What the loads say of a channel that is later than slopes tell; nothing where it is not.
 
     What the channel should have read is what it read, moved in time and of another size: of many delays that one is
     taken which leaves least of the reading.
@@ -404,7 +414,7 @@ def _far(asked: Witnesses, shapes: ChannelShapes, *, samples: int) -> dict[str, 
     (gain,), (u_gain,) = found.sizes, found.u
     gained = white.squares(white.shown) - white.squares(whole) + found.explained
     if gain <= 0 or gained < 2 * SETTINGS.decisive:
-        return None  # of the other sign, slopes tell it
+        return _Faults()  # of the other sign, slopes tell it
     answer = {}
     for one, own, moved_there in zip(asked.all, here, there, strict=True):
         parts = -np.column_stack([moved_there - own, (gain - 1) * moved_there])
@@ -414,4 +424,4 @@ def _far(asked: Witnesses, shapes: ChannelShapes, *, samples: int) -> dict[str, 
                 np.column_stack([parts, parts[:, 0]]), asked.sure,
             )
         ]  # fmt: skip
-    return answer
+    return _Faults(gained, answer)
