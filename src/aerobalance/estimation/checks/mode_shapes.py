@@ -19,7 +19,7 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.assumptions import SETTINGS as ASSUMED
 from aerobalance.estimation.checks.channel_rows import Rows, powers_of
-from aerobalance.estimation.checks.model_error import LEFT_OPEN, as_noise
+from aerobalance.estimation.checks.model_error import LEFT_OPEN, TOLD, as_noise
 from aerobalance.estimation.checks.moved_dynamics import Moved
 from aerobalance.estimation.checks.moved_modes import SETTINGS as MOVED
 from aerobalance.estimation.checks.moved_modes import (
@@ -280,7 +280,7 @@ def _by_shapes(
         period = 1 / record.decoupled[place].dynamics.natural_frequency
         error = as_noise(errors[:, place], name=name_of_error, period=period, interval=interval)
         part = with_errors(part, error)
-        if place in told and other.probability == 1:
+        if place in told and (other.probability == 1 or relative[place] > TOLD):
             text, advice = _words(other, dynamics)
             since = f" (at the end of the record, not up to {record.recording.start + first * interval:.4g} s)"
             text = f"{text}{since if first else ''}"
@@ -435,8 +435,10 @@ def _words(other: OtherShapes, dynamics: CoupledDynamics) -> tuple[str, str]:
                 now, before = mode.damping_ratio * np.exp(ratio), mode.damping_ratio
                 what += f" (damping ratio {now:.2g} and not {before:.2g})"
             changed.append(what)
+    sure = other.probability == 1
     text = (
-        f"the components ring together {', '.join(changed)}: stiffness, mass or damping have changed since they were "
-        "identified, or the dynamics are those of another balance; forces near these frequencies are wrong"
+        f"the components {'ring' if sure else 'may ring'} together {', '.join(changed)}"
+        f"{'' if sure else f' (probability {other.probability:.2g})'}: stiffness, mass or damping have changed since "
+        "they were identified, or the dynamics are those of another balance; forces near these frequencies are wrong"
     )
     return text, ADVICE

@@ -14,12 +14,13 @@ from typing import Any, Final
 import numpy as np
 
 from aerobalance.dynamics.modal import ModalModel
+from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.asked_readings import unbroken, without_steps
 from aerobalance.estimation.checks.mode_shapes import shape_doubts
-from aerobalance.estimation.checks.model_error import LEFT_OPEN, as_noise, error_under
+from aerobalance.estimation.checks.model_error import LEFT_OPEN, TOLD, as_noise, error_under
 from aerobalance.estimation.checks.not_linear import NotLinear, all_along, friction_of, not_linear
-from aerobalance.estimation.checks.other_dynamics import ModelDoubt, other_dynamics_in, peaks_of
+from aerobalance.estimation.checks.other_dynamics import ModelDoubt, as_said, other_dynamics_in, peaks_of
 from aerobalance.estimation.checks.peaks import peak_doubts
 from aerobalance.estimation.checks.spoken import Spoken
 from aerobalance.estimation.checks.step_ringing import friction_by_steps
@@ -153,13 +154,20 @@ def _within(error: Array, where: slice | None) -> Array:
 
 
 def _left_open(
-    force: ComponentForce, possible: Spoken, own: ModalModel, *, interval: float, within: slice | None
+    force: ComponentForce, possible: Spoken, own: Dynamics, *, interval: float, within: slice | None
 ) -> ComponentForce:
-    """A force whose uncertainty counts other dynamics by their probability."""
+    """A force whose uncertainty counts other dynamics by their probability.
+
+    They are doubted as well where that is much of the force: nobody looks for it in a budget.
+    """
     error = _within(error_under(force.values, own=own, other=possible.dynamics, interval=interval), within)
     weighted = np.sqrt(possible.probability) * error
     noise = as_noise(weighted, name=LEFT_OPEN, period=1 / own.natural_frequency, interval=interval)
-    return with_errors(force, noise)
+    effect, values = _rms(weighted), force.values
+    if effect < TOLD * max(float(np.std(values)), abs(float(np.mean(values)))):
+        return with_errors(force, noise)
+    (told,) = as_said(possible, own).doubts(own)
+    return with_doubt(force, replace(told.doubt, effect=effect), noise)
 
 
 def _not_linear(record: SingleRecord, force: ComponentForce) -> tuple[NotLinear, Array] | None:

@@ -16,6 +16,9 @@ from aerobalance.recording.sensors import load_gain_left
 LEFT_OPEN: Final = "dynamics that the record leaves open"
 """Name of what other dynamics may do to a force that the record neither shows nor rules out."""
 
+TOLD: Final = 0.1
+"""Error by dynamics that a record leaves open over the force (both rms), from which on they are doubted as well."""
+
 BINS: Final = 512
 """Frequencies at which the spectrum of an error is kept."""
 

@@ -104,6 +104,8 @@ class OtherDynamics:
         Samples of the record that show another frequency or damping ratio, and others do not; None where all do.
     during
         The same in words, with a comma before it.
+    probability
+        Probability of what it says [1].
     """
 
     component: str
@@ -117,6 +119,7 @@ class OtherDynamics:
     possible: Spoken | None = None
     within: slice | None = None
     during: str = ""
+    probability: float = 1.0
 
     @property
     def changed(self) -> bool:
@@ -126,14 +129,17 @@ class OtherDynamics:
     def doubts(self, dynamics: Dynamics) -> list[ModelDoubt]:
         """What it says against the dynamics, one doubt for each finding."""
         found, unit = [], si_unit(self.component)
+        sure = self.probability == 1
+        likely = "" if sure else f" (probability {self.probability:.2g})"
         if self.missing is not None:
             mode = self.missing
             size = "" if self.size is None else f" with {self.size:.3g} {unit} rms"
             cause = f"it swings{size}; a narrow band of the load itself looks the same"
             text = (
-                f"{self.component} shows a mode at {frequency_text(mode.natural_frequency, self.u_frequency)}, "
-                f"{share_text(mode.share, self.u_share)}, that the dynamics lack{self.during}: {cause}; forces near "
-                "that frequency are wrong until it is identified"
+                f"{self.component} {'shows' if sure else 'may show'} a mode at "
+                f"{frequency_text(mode.natural_frequency, self.u_frequency)}, "
+                f"{share_text(mode.share, self.u_share)}, that the dynamics lack{self.during}{likely}: {cause}; "
+                "forces near that frequency are wrong until it is identified"
             )
             advice = f"identify it from a release (identify decay {argument('modes', 'auto')})"
             told = self.u_share < SETTINGS.told * abs(mode.share)
@@ -143,9 +149,9 @@ class OtherDynamics:
             )
         if self.silent:
             text = (
-                f"{self.component} does not ring at {dynamics.natural_frequency:.5g} Hz, the natural frequency of the "
-                "dynamics: they are those of another balance or another model, or the record has another rate than "
-                "is said"
+                f"{self.component} {'does' if sure else 'may'} not ring at {dynamics.natural_frequency:.5g} Hz, the "
+                f"natural frequency of the dynamics{likely}: they are those of another balance or another model, or "
+                "the record has another rate than is said"
             )
             other = dynamics.retuned(frequency=SETTINGS.beyond, damping=1.0)
             doubt = Doubt("natural frequency", self.component, text, "identify the dynamics again", unit=unit)
@@ -162,9 +168,9 @@ class OtherDynamics:
         if changed:
             since = "on the way" if self.within else "since they were identified"
             text = (
-                f"{self.component} rings with another {' and another '.join(changed)}{self.during}: stiffness, mass "
-                f"or damping have changed {since}, or the flow adds its own; forces near that frequency are wrong by "
-                "as much"
+                f"{self.component} {'rings' if sure else 'may ring'} with another {' and another '.join(changed)}"
+                f"{self.during}{likely}: stiffness, mass or damping have changed {since}, or the flow adds its own; "
+                "forces near that frequency are wrong by as much"
             )
             advice = "identify the dynamics again"
             other = dynamics.retuned(
@@ -251,7 +257,7 @@ def other_dynamics_in(
         if changed is not None:
             return changed
     if spoken is not None and spoken.probability == 1:
-        return _spoken(spoken, dynamics)
+        return as_said(spoken, dynamics)
     left = beside_steps(dynamics, within)
     found = _possible(
         _in_spectrum(left, dynamics, interval=reading.interval, noise=noise, load=load),
@@ -313,11 +319,16 @@ def _changed_along(
         return OtherDynamics(record.dynamics.component, possible=found.spoken, within=within)
     begin, end = (record.recording.start + (first + place) * reading.interval for place in (found.first, found.last))
     during = f", from about {begin:.4g} s to {end:.4g} s"
-    return replace(_spoken(found.spoken, record.dynamics), within=within, during=during)
+    return replace(as_said(found.spoken, record.dynamics), within=within, during=during)
 
 
-def _spoken(spoken: Spoken, dynamics: Dynamics) -> OtherDynamics:
-    """Other dynamics that a record speaks clearly for."""
+def as_said(spoken: Spoken, dynamics: Dynamics) -> OtherDynamics:
+    """Return what a record says against dynamics that speaks for others, clearly or with some probability."""
+    return replace(_said(spoken, dynamics), probability=spoken.probability)
+
+
+def _said(spoken: Spoken, dynamics: Dynamics) -> OtherDynamics:
+    """The same, whatever the probability."""
     other = spoken.dynamics
     if spoken.kind == "missing mode":
         mode = other.further_modes[-1]

@@ -34,6 +34,7 @@ from aerobalance.estimation.checks.spoken import (
     gain_over_narrow_loads,
     is_line,
     named,
+    open_far,
     price_of,
 )
 from aerobalance.estimation.prior import SpectralPrior
@@ -94,7 +95,7 @@ def spoken_for(
         if best >= SETTINGS.decisive:
             clear, load = _clearest(evidence, dynamics, left, own=own, best=best), None
     elif -confirmed >= SETTINGS.open_far and not steps:
-        clear = _open_far(Spoken("no resonance", none, -confirmed))
+        clear = open_far(Spoken("no resonance", none, -confirmed))
     if evidence.color is not None and color_found and (clear is None or clear.probability < 1):
         plain = _without_color(evidence, dynamics, tried)
         if plain is not None:
@@ -170,7 +171,11 @@ def _clearest(
         spoken = Spoken(spoken.kind, other, evidence.of(other) - own - price_of(spoken.kind, evidence))
     if spoken.gain >= SETTINGS.decisive:
         return spoken
-    return _open_far(spoken) if spoken.kind == "missing mode" and spoken.gain >= SETTINGS.open_far else None
+    far = (
+        spoken.kind == "missing mode"
+        or abs(spoken.mode.natural_frequency / dynamics.natural_frequency - 1) >= SETTINGS.far
+    )
+    return open_far(spoken) if far and spoken.gain >= SETTINGS.open_far else None
 
 
 def _starts(evidence: Evidence, tried: Sequence[tuple[str, Dynamics]], *, own: float, best: float) -> list[Spoken]:
@@ -270,12 +275,6 @@ def _beside(
     off = float(np.log(other.damping_ratio / dynamics.damping_ratio) / np.log(SETTINGS.usual))
     likely = left_open(spoken, gain - 0.5 * off**2)
     return None if likely is None else likely._replace(probability=likely.probability * spoken.probability)
-
-
-def _open_far(spoken: Spoken) -> Spoken:
-    """The same, far from the expected dynamics, with its probability by its gain, which is not decisive."""
-    likely = float(expit(SETTINGS.open_steepness * (spoken.gain - SETTINGS.open_far_half)))
-    return spoken._replace(probability=likely)
 
 
 def left_open(spoken: Spoken, gain: float) -> Spoken | None:

@@ -195,28 +195,50 @@ def named(spoken: Spoken, evidence: Evidence, dynamics: Dynamics, *, confirmed: 
         spoken = spoken._replace(u_share=_spread(evidence, lambda by: at(1.0, by), shift=SETTINGS.share_shift))
         width = mode.damping_ratio
     else:
-        moved = abs(other.natural_frequency / dynamics.natural_frequency - 1)
-        width = max(dynamics.damping_ratio, other.damping_ratio)
-        kind = "natural frequency" if moved > 0.5 * width else "damping ratio"
-        if kind == "natural frequency":  # another damping ratio as well only where it is worth what that costs
-            same = dynamics.retuned(frequency=other.natural_frequency / dynamics.natural_frequency, damping=1.0)
-            if evidence.of(other) - evidence.of(same) < price_of("damping ratio", evidence):
-                other = same
-                spoken = spoken._replace(dynamics=same)
-        if is_line(other.modes[0], evidence, width=SETTINGS.line):
+        found = _moved(spoken, evidence, dynamics, confirmed=confirmed)
+        if found is None:
             return None
-        like_a_load = other.damping_ratio > SETTINGS.broad and confirmed > -SETTINGS.decisive
-        if moved > SETTINGS.far and (like_a_load or confirmed > SETTINGS.confirmed):
-            return None
+        spoken, other = found, found.dynamics
+        width = max(dynamics.damping_ratio, spoken.dynamics.damping_ratio)
 
         def at(factor: float, share: float = 1.0) -> Dynamics:
             return other.retuned(frequency=factor, damping=1.0)
 
-    spoken = spoken._replace(kind=kind)
     likely = _over_narrow_loads(spoken, evidence, dynamics)
     if likely == 0:
         return None
     return spoken._replace(u=_spread(evidence, at, shift=0.5 * width), probability=likely * spoken.probability)
+
+
+def _moved(spoken: Spoken, evidence: Evidence, dynamics: Dynamics, *, confirmed: float) -> Spoken | None:
+    """A resonance that has moved with the kind by what has come out; None for what a load makes as well."""
+    other = spoken.dynamics
+    factor = other.natural_frequency / dynamics.natural_frequency
+    moved, width = abs(factor - 1), max(dynamics.damping_ratio, other.damping_ratio)
+    kind = "natural frequency" if moved > 0.5 * width else "damping ratio"
+    same = dynamics.retuned(frequency=factor, damping=1.0)
+    if kind == "natural frequency" and evidence.of(other) - evidence.of(same) < price_of("damping ratio", evidence):
+        other = same  # another damping ratio as well only where it is worth what that costs
+    if is_line(other.modes[0], evidence, width=SETTINGS.line):
+        return None
+    spoken = spoken._replace(kind=kind, dynamics=other)
+    if moved <= SETTINGS.far:
+        return spoken
+    if confirmed > SETTINGS.confirmed:
+        return None
+    if other.damping_ratio <= SETTINGS.broad or confirmed <= -SETTINGS.decisive:
+        return spoken
+    # a broad peak may be the load's: what is left of it is what it gains with the damping ratio that is known
+    gain = evidence.of(same) - evidence.of(dynamics) - price_of(kind, evidence)
+    if same.damping_ratio > SETTINGS.broad or gain < SETTINGS.open_far:
+        return None
+    return open_far(spoken._replace(dynamics=same, gain=gain))
+
+
+def open_far(spoken: Spoken) -> Spoken:
+    """The same, far from the expected dynamics, with its probability by its gain, which is not decisive."""
+    likely = float(expit(SETTINGS.open_steepness * (spoken.gain - SETTINGS.open_far_half)))
+    return spoken._replace(probability=likely)
 
 
 def _over_narrow_loads(spoken: Spoken, evidence: Evidence, dynamics: Dynamics) -> float:
