@@ -435,8 +435,14 @@ def test_a_strong_narrow_band_beside_the_resonance_is_no_other_resonance(name, s
     beside a broad load; then none of them was.
     """
     (case,) = (one for one in sound() if one.name == f"narrow at {name}")
+    left_open = 0
     for place in range(trials(3, 10)):
-        assert not {"natural frequency", "damping ratio", "missing mode"} & set(trial((case, seed + place))["kinds"])
+        found = trial((case, seed + place))
+        if any("(probability" in text for text in found["said"]):
+            left_open += 1
+            continue
+        assert not {"natural frequency", "damping ratio", "missing mode"} & set(found["kinds"])
+    assert left_open <= 2  # of 34 one: of ten more than two once in 350
 
 
 @pytest.mark.parametrize("seed", [1, 0, 2])
@@ -611,6 +617,7 @@ def test_what_a_record_leaves_open_counts_by_its_probability(probability, monkey
 
 
 @pytest.mark.filterwarnings("ignore:.*the noise of AF may rise at low frequency")  # of one in 300
+@pytest.mark.filterwarnings("ignore:.*AF may ring with another")  # what is left open
 def test_the_right_resonance_is_left_alone_and_leaves_little_open(seed):
     forces = []
     for one in range(trials(2, 60)):
@@ -618,7 +625,8 @@ def test_the_right_resonance_is_left_alone_and_leaves_little_open(seed):
         recording = Recording.from_columns(np.arange(values.size) / RATE, {"AF": Channel("AF", values, "N")})
         forces.append(estimate_force(recording, BARE))
     # of 400 none was doubted, and of 3 much was left open: of 60 more than these come once in a thousand times
-    assert sum(bool(force.doubts) for force in forces) <= 1
+    sure = [[doubt for doubt in force.doubts if "may ring" not in doubt.text] for force in forces]
+    assert sum(map(bool, sure)) <= 1
     assert sum(force.only.budget.get(LEFT_OPEN, 0.0) > 5.0 for force in forces) <= 4
 
 
