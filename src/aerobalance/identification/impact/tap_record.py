@@ -158,7 +158,7 @@ def tap_record(recording: Recording, components: tuple[str, ...]) -> TapRecord:
         )
     corner, u_corner = _corner(readings, found, recording.rate, scatter)
     if corner > SETTINGS.droop * u_corner:
-        readings = readings + 2 * np.pi * corner / recording.rate * np.cumsum(np.nan_to_num(readings))
+        readings = readings - corner * _integral(readings, _between(readings, found, scatter)[1], recording.rate)
         readings = _rebased(readings, found, scatter)
         found = _contacts(readings, scatter, recording.rate)
     else:
@@ -241,8 +241,7 @@ def _corner(readings: Array, blows: list[list[tuple[int, int]]], rate: float, sc
     the taps the force is zero, so the readings there tell c.
     """
     free, wild = _between(readings, blows, scatter)
-    known = np.where(wild, 0.0, np.nan_to_num(readings))
-    integral = -2 * np.pi * np.cumsum(known) / rate
+    known, integral = np.nan_to_num(readings), _integral(readings, wild, rate)
     time = np.arange(readings.size) / readings.size
     table = np.column_stack([integral, np.ones(time.size), time])[free]
     table[:, 0] -= table[:, 0].mean()
@@ -251,6 +250,11 @@ def _corner(readings: Array, blows: list[list[tuple[int, int]]], rate: float, sc
         return 0.0, np.inf
     u = scatter * float(np.sqrt(np.linalg.inv(table.T @ table)[0, 0]))
     return float(coefficients[0]), u
+
+
+def _integral(readings: Array, wild: NDArray[np.bool_], rate: float) -> Array:
+    """What a high-pass with a corner of 1 Hz takes off a force, by its readings but for those that are none of it."""
+    return np.asarray(-2 * np.pi * np.cumsum(np.where(wild, 0.0, np.nan_to_num(readings))) / rate)
 
 
 def _between(
