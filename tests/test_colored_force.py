@@ -202,7 +202,7 @@ def test_noise_that_rises_with_frequency_is_no_force(rng):
         inner = slice(N // 20, -N // 20)
         error, u = np.std((found.values - force)[inner]), np.sqrt(np.mean(found.uncertainty[inner] ** 2))
         missed += error > 1.3 * bound
-        # of one draw in 500 it is taken for a force above 177 Hz, with 20 times the uncertainty
+        # less than one draw in 120 is taken for a force above 177 Hz: one was, with 20 times the uncertainty
         assert error < max(1.3 * bound, u)
         # the edge at 100 Hz is known to an ordinate of 0.2 Hz, of a force of 200 N in 100 Hz 9 N at most in that
         assert u < 2 * bound or error > 1.3 * bound

@@ -438,11 +438,11 @@ def test_a_strong_narrow_band_beside_the_resonance_is_no_other_resonance(name, s
     left_open = 0
     for place in range(trials(3, 10)):
         found = trial((case, seed + place))
-        if any("(probability" in text for text in found["said"]):
+        if any(" AF may " in text for text in found["said"]):
             left_open += 1
             continue
         assert not {"natural frequency", "damping ratio", "missing mode"} & set(found["kinds"])
-    assert left_open <= 2  # of 34 one: of ten more than two once in 350
+    assert left_open <= trials(1, 2)  # of 34 one: of three more than one in 400, of ten more than two once in 350
 
 
 @pytest.mark.parametrize("seed", [1, 0, 2])

@@ -19,7 +19,7 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.assumptions import SETTINGS as ASSUMED
 from aerobalance.estimation.checks.channel_rows import Rows, powers_of
-from aerobalance.estimation.checks.model_error import LEFT_OPEN, TOLD, as_noise
+from aerobalance.estimation.checks.model_error import BY_PROBABILITY, LEFT_OPEN, TOLD, as_noise
 from aerobalance.estimation.checks.moved_dynamics import Moved
 from aerobalance.estimation.checks.moved_modes import SETTINGS as MOVED
 from aerobalance.estimation.checks.moved_modes import (
@@ -439,6 +439,7 @@ def _words(other: OtherShapes, dynamics: CoupledDynamics) -> tuple[str, str]:
     text = (
         f"the components {'ring' if sure else 'may ring'} together {', '.join(changed)}"
         f"{'' if sure else f' (probability {other.probability:.2g})'}: stiffness, mass or damping have changed since "
-        "they were identified, or the dynamics are those of another balance; forces near these frequencies are wrong"
+        "they were identified, or the dynamics are those of another balance; forces near these frequencies "
+        f"{'are wrong' if sure else BY_PROBABILITY}"
     )
     return text, ADVICE

@@ -164,9 +164,9 @@ def _left_open(
     weighted = np.sqrt(possible.probability) * error
     noise = as_noise(weighted, name=LEFT_OPEN, period=1 / own.natural_frequency, interval=interval)
     effect, values = _rms(weighted), force.values
-    if effect < TOLD * max(float(np.std(values)), abs(float(np.mean(values)))):
+    if effect <= TOLD * max(float(np.std(values)), abs(float(np.mean(values)))):
         return with_errors(force, noise)
-    (told,) = as_said(possible, own).doubts(own)
+    (told,) = replace(as_said(possible, own), within=within).doubts(own)
     return with_doubt(force, replace(told.doubt, effect=effect), noise)
 
 

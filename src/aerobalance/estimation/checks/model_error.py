@@ -19,6 +19,9 @@ LEFT_OPEN: Final = "dynamics that the record leaves open"
 TOLD: Final = 0.1
 """Error by dynamics that a record leaves open over the force (both rms), from which on they are doubted as well."""
 
+BY_PROBABILITY: Final = "would be wrong, which counts in the uncertainty by that probability"
+"""What other dynamics that a record leaves open do to forces near the frequencies that they tell."""
+
 BINS: Final = 512
 """Frequencies at which the spectrum of an error is kept."""
 

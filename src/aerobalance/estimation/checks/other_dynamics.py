@@ -21,6 +21,7 @@ from aerobalance.estimation.checks.averaged_spectrum import Averaged
 from aerobalance.estimation.checks.changing_resonance import changes_along, stretches_of
 from aerobalance.estimation.checks.evidence import Evidence
 from aerobalance.estimation.checks.local_modes import missing_mode, own_resonance
+from aerobalance.estimation.checks.model_error import BY_PROBABILITY
 from aerobalance.estimation.checks.peaks import Peak
 from aerobalance.estimation.checks.resonance import left_open, spoken_for
 from aerobalance.estimation.checks.spoken import Spoken
@@ -131,6 +132,7 @@ class OtherDynamics:
         found, unit = [], si_unit(self.component)
         sure = self.probability == 1
         likely = "" if sure else f" (probability {self.probability:.2g})"
+        near = "forces near that frequency"
         if self.missing is not None:
             mode = self.missing
             size = "" if self.size is None else f" with {self.size:.3g} {unit} rms"
@@ -139,7 +141,7 @@ class OtherDynamics:
                 f"{self.component} {'shows' if sure else 'may show'} a mode at "
                 f"{frequency_text(mode.natural_frequency, self.u_frequency)}, "
                 f"{share_text(mode.share, self.u_share)}, that the dynamics lack{self.during}{likely}: {cause}; "
-                "forces near that frequency are wrong until it is identified"
+                f"{near} {'are wrong until it is identified' if sure else BY_PROBABILITY}"
             )
             advice = f"identify it from a release (identify decay {argument('modes', 'auto')})"
             told = self.u_share < SETTINGS.told * abs(mode.share)
@@ -170,7 +172,7 @@ class OtherDynamics:
             text = (
                 f"{self.component} {'rings' if sure else 'may ring'} with another {' and another '.join(changed)}"
                 f"{self.during}{likely}: stiffness, mass or damping have changed {since}, or the flow adds its own; "
-                "forces near that frequency are wrong by as much"
+                f"{near} {'are wrong by as much' if sure else BY_PROBABILITY}"
             )
             advice = "identify the dynamics again"
             other = dynamics.retuned(

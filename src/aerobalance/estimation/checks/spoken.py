@@ -32,7 +32,8 @@ class ResonanceSettings:
         and how fast that grows. Of 1100 records that agree, of eleven kinds, 11 reached 4, 2 reached 6 and one
         reached 10.
     open_far, open_far_half
-        The same of a further mode, the price of its numbers paid, and of a balance that does not ring.
+        The same of a further mode and of a resonance that is far off, the price of their numbers paid, and of a
+        balance that does not ring.
     usual
         Factor by which a damping ratio is usually off, one standard deviation of its logarithm: of a short record a
         resonance of any width may be left, and one ten times as wide is not as likely as one that is nearly the same.
@@ -46,7 +47,8 @@ class ResonanceSettings:
         Gain of the dynamics over a balance that does not ring, from which it is certain that it rings near there.
     far, broad
         Relative change of the natural frequency from which a resonance with more than this damping ratio is taken for
-        a narrow band of the load, unless the record speaks against its own resonance.
+        a narrow band of the load, unless the record speaks against its own resonance: it is left open at most, by what
+        it gains with the damping ratio that is known.
     shifts
         Relative changes of the natural frequency that are tried.
     dampings
