@@ -84,6 +84,22 @@ def outliers_of(schedule: Schedule, model: str) -> tuple[tuple[Outlier, ...], st
     return quality.outliers, "\n".join(str(item.message) for item in caught)
 
 
+@pytest.mark.parametrize("make", [single, stand])
+@pytest.mark.soak(first=1)
+def test_a_wrong_reading_is_named_where_the_other_bridges_would_have_shown_its_load(make, rng) -> None:
+    """Asked of each bridge alone, one of six of a stand's was not named: together they tell what none does.
+
+    Of 60 draws one is not, whose interactions come to few deviations: more than two of twelve are once in a thousand.
+    """
+    unnamed = 0
+    for _ in range(trials(2, 12)):
+        schedule = make(rng)
+        wrong, cause = wrong_reading(schedule, *a_load(schedule, rng), rng)
+        _, said = outliers_of(wrong, "quadratic")
+        unnamed += cause not in said
+    assert unnamed <= 2
+
+
 @pytest.mark.parametrize("change", [wrong_reading, wrong_sign, decimal_point, typing_error, other_column])
 @pytest.mark.parametrize(
     ("make", "model"), [(single, "auto"), (single, "quadratic"), (stand, "quadratic"), (stand, "auto")]
@@ -98,7 +114,8 @@ def test_one_mistake_is_named_by_its_point_and_kind(make, model: str, change: Ch
     label = schedule.label(point)
     outliers, said = outliers_of(wrong, model)
     assert repr(label) in said, said
-    assert cause in said, said
+    if change is not wrong_reading:
+        assert cause in said, said
     if outliers:
         assert outliers[0].label == label
     if model == "auto":  # which has the terms that these balances have; one sound schedule in twenty has an outlier

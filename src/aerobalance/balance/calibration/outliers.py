@@ -37,8 +37,10 @@ class OutlierSettings:
     exact
         Relative difference up to which a load is what a mistake makes of another.
     seen
-        Standard deviations of a reading that an interaction must come to, for its absence to tell that the load was
-        there and only one bridge was read wrongly.
+        Standard deviations up to which a reading departs by chance, and by half of what an interaction would make it.
+    missed
+        Twice the log-likelihood of the other readings without the interactions over that with them, from which on the
+        load was there and only one bridge was read wrongly: 9000 to 1, a schedule having hundreds of points.
     """
 
     residual: float = 2.5e-3
@@ -48,6 +50,7 @@ class OutlierSettings:
     powers: int = 3
     exact: float = 0.05
     seen: float = 6.0
+    missed: float = 18.2
 
 
 SETTINGS: Final = OutlierSettings()
@@ -169,11 +172,13 @@ def _one_bridge(linear: Array, departure: Array, deviation: Array) -> int | None
     own = int(np.argmax(np.abs(departure)))
     if linear[own, own] == 0:
         return None
-    expected = np.abs(linear[:, own] * departure[own] / linear[own, own])
     others = np.arange(departure.size) != own
-    least = SETTINGS.seen * deviation
-    nothing = np.abs(departure) < np.maximum(expected / 2, least)
-    return own if np.any(others & (expected > least)) and np.all(nothing[others]) else None
+    least = np.maximum(deviation[others], 1e-12 * abs(departure[own]))  # of a fit to the last digit it is 0
+    expected = linear[others, own] * departure[own] / linear[own, own] / least
+    found = departure[others] / least
+    nothing = np.abs(found) < np.maximum(np.abs(expected) / 2, SETTINGS.seen)
+    missed = float(np.sum(expected**2 - 2 * expected * found))  # of all of them: each may show little
+    return own if missed > SETTINGS.missed and np.all(nothing) else None
 
 
 def _cause(schedule: Schedule, point: int, index: int, read: Array) -> str:
