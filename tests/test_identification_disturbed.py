@@ -72,7 +72,7 @@ def windy(rng: np.random.Generator, *, rms: float, band: tuple[float, float]) ->
 )
 @pytest.mark.soak(first=1)
 def test_wind_is_in_the_uncertainty(rms, band, rng):
-    draws = trials(2, 40)
+    draws, untold = trials(2, 40), 0
     scores, u_decay = [], []
     for _ in range(draws):
         recording = windy(rng, rms=rms, band=band)
@@ -85,11 +85,15 @@ def test_wind_is_in_the_uncertainty(rms, band, rng):
             continue
         found = fit.dynamics
         u_decay.append(fit.decay_rate_uncertainty)
-        assert "driving force" in kinds(fit)
-        assert fit.force_density == pytest.approx(rms**2 / (2 * (band[1] - band[0])), rel=0.9)
+        assert fit.verdict is not Verdict.FIT
+        if "driving force" in kinds(fit):
+            assert fit.force_density == pytest.approx(rms**2 / (2 * (band[1] - band[0])), rel=0.9)
+        untold += "driving force" not in kinds(fit)
         scores.append(
             [(getattr(found, x) - getattr(T128, x)) / found.uncertainty(x) for x in ("stiffness", "damping")]
         )
+    # of 120 releases in a narrow band of wind one was told as two modes: more than two of 40 are once in 200 soaks
+    assert untold <= 2
     true = T128.damping / (2 * T128.mass)
     chance = float(np.mean(norm.cdf(2 - true / np.array(u_decay))))
     assert draws - len(scores) <= binom.isf(1e-5, draws, chance)

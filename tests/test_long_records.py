@@ -287,6 +287,7 @@ def test_monte_carlo_of_a_divided_force_is_of_its_worst_part(rng):
 # --- gaps, silence, constants
 
 
+@pytest.mark.filterwarnings("ignore:.*may rise at low frequency")  # one record in some leaves that open
 def test_a_gap_over_a_joint_is_bridged(rng):
     joint = parts_by_samples(14_000)[1].first
     gap = slice(joint - 168, joint + 132)

@@ -197,9 +197,11 @@ def test_modes_of_another_balance_are_named_and_counted(factor: float, rng) -> N
 def test_modes_far_from_those_of_the_balance_are_not_usable(factor: float, common: bool, rng) -> None:
     """Of half the frequency and less noise of a color left no force, of others signs were wrong: errors of 7 to 130 u.
 
-    Or in a release, one load in all components, channels exchanged: errors of up to 460 u.
+    Or in a release, one load in all components, channels exchanged: errors of up to 460 u. One in twenty
+    that rings at half of the frequencies is doubtful alone, where what that does is less than half of each force.
     """
-    _far_off(SixScene([band(1e-9, 0, 100)] * 6, common=step(0.5)) if common else SixScene(), factor, rng)
+    scene = SixScene([band(1e-9, 0, 100)] * 6, common=step(0.5)) if common else SixScene()
+    _far_off(scene, factor, rng, may_be_less=factor == 2.0)
 
 
 def test_modes_far_off_are_told_where_their_rows_bring_the_forces_together() -> None:
@@ -210,10 +212,10 @@ def test_modes_far_off_are_told_where_their_rows_bring_the_forces_together() -> 
     _far_off(SixScene(), 0.4, np.random.default_rng(2056465474))
 
 
-def _far_off(scene: SixScene, factor: float, rng: np.random.Generator) -> None:
+def _far_off(scene: SixScene, factor: float, rng: np.random.Generator, *, may_be_less: bool = False) -> None:
     values, truth = _record(scene, rng)
     force = _force(values, moved(drawn(rng), factor=factor))
-    assert force.verdict == Verdict.NOT_USABLE
+    assert force.verdict != Verdict.FIT if may_be_less else force.verdict == Verdict.NOT_USABLE
     assert {doubt.kind for doubt in force.doubts} == {"natural frequency"}
     z, _ = _scores(force, truth)
     # what is counted is as large as the error of a sine of its local size, or as what was read
@@ -555,12 +557,16 @@ def moves(force: Force) -> set[str]:
 def test_one_mode_that_has_moved_is_told_from_a_narrow_load(what: str, place: int, rng) -> None:
     """Modes moved together were looked for, and one alone by a reading whose damping is the decoupled component's.
 
-    That is 3 to 10 times the mode's: the force was some 10 of its uncertainties off and fit for use.
+    That is 3 to 10 times the mode's: the force was some 10 of its uncertainties off and fit for use. What may be
+    either, as of one in forty narrow bands at 40 Hz, is told with its probability: two of three are once in 500.
     """
+    open_ = 0
     for _ in range(trials(1, 3)):
         force = beside_a_mode(what, place, rng)
         if what == "narrow":
-            assert not moves(force)
+            open_ += bool(moves(force))
+            assert all("(probability " in text for text in moves(force))
+            assert open_ <= 1
             continue
         known = f"and not {wide().modes[place].natural_frequency:.4g} Hz"
         assert force.verdict != Verdict.FIT

@@ -67,6 +67,13 @@ def looked_at(recording: Recording, dynamics: Dynamics) -> OtherDynamics:
     return other_dynamics_in(record, noise=found.noise, steps=found.steps, lines=found.hum, learned=found.learned)
 
 
+def kinds_of(recording: Recording, dynamics: Dynamics) -> list[str]:
+    """Kinds of what is doubted of a force."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)
+        return [doubt.kind for doubt in estimate_force(recording, dynamics).doubts]
+
+
 def shaken(
     truth: Dynamics, generator: np.random.Generator, *, corner: float = 60.0, seconds: float = 8.0
 ) -> Recording:
@@ -141,14 +148,19 @@ def test_a_missing_mode_is_named_under_a_broadband_load(rng):
 def test_the_edge_of_a_load_beside_a_missing_mode_does_not_bend_it(rng):
     """The load ends at 300 Hz, within the band about the mode in which its spectrum is taken for a power of frequency.
 
-    Seen without that edge, the share had its sign wrong and 200 of its uncertainties beside the truth.
+    Seen without that edge, the share had its sign wrong and 200 of its uncertainties beside the truth. Of some 100
+    records by this alone one shows none, which a force names all the same: by chance two of 16 are once in 90 soaks.
     """
+    unseen = 0
     for _ in range(trials(4, 16)):
         mode = Mode(rng.uniform(240, 280), 0.008, rng.choice([-0.08, -0.05, 0.05, 0.08]))
         setting = {"dynamics": BARE.with_modes(mode), "rate": RATE, "rms": 60.0, "noise": 2.0, "seconds": 10.0}
         recording, _ = smooth_run(rng, SHARP["0-300 Hz"], **setting)
         found = missing_mode(averaged(recording.channel("AF").values), BARE)
-        assert found is not None
+        if found is None:
+            unseen += 1
+            assert kinds_of(recording, BARE) == ["missing mode"]
+            continue
         # at five standard uncertainties once in a million
         assert abs(found.mode.natural_frequency - mode.natural_frequency) < 5 * found.u_frequency
         # what is certain of a share is its logarithm, unless the other sign is as likely
@@ -156,6 +168,7 @@ def test_the_edge_of_a_load_beside_a_missing_mode_does_not_bend_it(rng):
         same = found.mode.share / mode.share
         assert abs(found.mode.share - mode.share) < 5 * found.u_share or abs(np.log(max(same, 1e-9))) < 5 * relative
         assert found.u_frequency < 0.01 * mode.natural_frequency
+    assert unseen <= 2
 
 
 def test_a_smooth_load_shows_no_mode_and_no_change(rng):
