@@ -345,7 +345,7 @@ def test_any_scheduler_does_the_same_and_may_lose_workers_and_be_started_anew(tm
         with started(*SCHEDULER, "--port", str(port)), started(*WORKER, address):
             out, err = command.communicate(timeout=120)
     assert command.returncode == 0, err
-    assert json.loads(out)["reduced"] == 5
+    assert json.loads(out)["reduced"] == 5, f"{out}\n{err}"
     assert f"the scheduler {address} is gone" in err
     assert "Traceback" not in err
     assert "dashboard" not in err  # there is none
