@@ -67,15 +67,18 @@ def test_sound_channels_are_not_doubted(name, seed):
 
 @pytest.mark.soak(first=0)
 def test_noise_of_rates_of_turn_is_in_the_uncertainty(rng):
-    ratios = []
+    ratios, above = [], 0
     for _ in range(trials(2, 12)):
         run = shaken(rng, turning="rate").used
         found = run.ratios(run.force)
-        # its noise ends below some 50 Hz: 200 independent errors in 2 s, 5 % of their rms, five of these
-        assert max(found.values()) < 1.25, found
+        # its noise ends below some 50 Hz: 200 independent errors in 2 s, 5 % of their rms, five of these. Of 84
+        # records one had a force as faint as that noise, and what is which is chance: 1.5
+        above += max(found.values()) > 1.25
+        assert max(found.values()) < 2, found
         ratios += [found[name] for name in ("PM", "YM", "RM")]
     # white noise of the density that it has where its power is: 1.34 times too much below the edge, and more beyond it
     assert np.median(ratios) > 0.5
+    assert above <= 1
 
 
 FAULTS = [

@@ -624,7 +624,10 @@ def test_what_a_record_leaves_open_counts_by_its_probability(probability, monkey
     after = estimate_force(recording, BARE)
     assert after.doubts == ()
     error = error_under(before.values, own=BARE, other=other, interval=1 / RATE)
-    expected = np.sqrt(probability * np.mean(error**2))
+    monkeypatch.setattr(other_dynamics, "spoken_for", lambda *_, **__: None)
+    # one record in sixty leaves open as well whether the spring is linear
+    besides = estimate_force(recording, BARE).only.budget.get(LEFT_OPEN, 0.0)
+    expected = np.sqrt(probability * np.mean(error**2) + besides**2)
     assert after.only.budget[LEFT_OPEN] == pytest.approx(expected, rel=0.02)
     np.testing.assert_array_equal(after.only.values, before.values)
 

@@ -73,6 +73,10 @@ def _doubts(
     drifts = abs(fault.drift) > max(fault.sure * fault.u_drift, SETTINGS.clock * abs(fault.delay))
     by_delay = float(effects[2 if drifts else 0]) if late or drifts else 0.0
     by_gain = float(effects[1]) if abs(fault.gain) > fault.sure * fault.u_gain else 0.0
+    own = errors[:, [2 if drifts else 0]]
+    if by_gain > 0 and _of_the_delay(fault.gain, by_delay=by_delay, by_gain=by_gain):
+        own = np.column_stack([own, errors[:, 1]])  # not their sum: both are known to first order alone
+        by_delay, by_gain = float(np.hypot(by_delay, by_gain)), 0.0
     least = max(SETTINGS.matters * uncertainty, SETTINGS.beside * max(by_delay, by_gain))
     if by_delay > least:
         word = "late" if fault.delay > 0 else "early"
@@ -89,8 +93,8 @@ def _doubts(
             )
             advice = f"record {name} by the clock of the balance"
         what = "clock" if drifts and kind == "ground" else "delay"
-        doubt = Doubt(f"{kind} {what}", component, text, advice, float(effects[2 if drifts else 0]), unit)
-        yield doubt, _as_error(doubt, fault, errors[:, 2 if drifts else 0])
+        doubt = Doubt(f"{kind} {what}", component, text, advice, by_delay, unit)
+        yield doubt, _as_error(doubt, fault, own)
     if by_gain > least:
         text = (
             f"{shown} {1 + fault.gain:.4g} times (u = {fault.u_gain:.2g}) what {name} reads: another gain, "
@@ -98,10 +102,27 @@ def _doubts(
         )
         advice = f"check sensitivity, unit and sign of {name}, and the mass"
         doubt = Doubt(f"{kind} gain", component, text, advice, float(effects[1]), unit)
-        yield doubt, _as_error(doubt, fault, errors[:, 1])
+        yield doubt, _as_error(doubt, fault, errors[:, [1]])
 
 
-def _as_error(doubt: Doubt, fault: GroundFault, error: Array) -> Systematic:
-    """The error of a doubt; of one component alone there is one sensor of each kind."""
+def _of_the_delay(gain: float, *, by_delay: float, by_gain: float) -> bool:
+    """Whether a gain that is too small is what the delay itself does.
+
+    Motion at w that is late by t is cos(wt) of itself and sin(wt) of its rate over w.
+
+    Parameters
+    ----------
+    gain
+        By how much it has to be changed [1].
+    by_delay, by_gain
+        Errors of the force from both (rms), of which the latter is that part of all that the channel makes.
+    """
+    sine = min(by_delay * abs(gain) / by_gain, 1.0)
+    return 0 < -gain < SETTINGS.second_order * (1 - float(np.sqrt(1 - sine**2)))
+
+
+def _as_error(doubt: Doubt, fault: GroundFault, errors: Array) -> Systematic:
+    """The errors of a doubt, shape (n, p); of one component alone there is one sensor of each kind."""
     name = f"{DOUBTED}{doubt.kind}" + (f" of {fault.channel}" if len(fault.shown_by) > 1 else "")
-    return Systematic(name, fault.channel, (name,), error[:, None], np.eye(1), local=True)
+    count = errors.shape[1]
+    return Systematic(name, fault.channel, (name,) * count, errors, np.eye(count), local=True)

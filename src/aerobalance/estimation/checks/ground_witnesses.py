@@ -44,6 +44,9 @@ class GroundChannelSettings:
     beside
         Error of the force from a gain over that from a delay, and the other way, from which both are told: the one is
         else what the other does to second order.
+    second_order
+        Loss of gain over what a delay makes at one frequency, up to which it is the delay's: of a motion that is as
+        strong at all frequencies up to an edge the upper ones lose far more.
     clock
         Change of a delay along the record over the delay, from which it is told: a delay makes less to second order.
     matters
@@ -98,6 +101,7 @@ class GroundChannelSettings:
     open: float = 1.625
     steepness: float = 0.8
     beside: float = 0.5
+    second_order: float = 2.0
     clock: float = 0.2
     matters: float = 0.3
     worth_a_look: float = 6.25
