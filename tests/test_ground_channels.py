@@ -13,7 +13,7 @@ from scipy.linalg import subspace_angles
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.ground_alignment import alone
 from aerobalance.estimation.checks.ground_channels import GroundFault, ground_findings, measured
-from aerobalance.estimation.checks.ground_doubts import LEFT_OPEN
+from aerobalance.estimation.checks.ground_doubts import LEFT_OPEN, _of_the_delay
 from aerobalance.estimation.checks.ground_witnesses import Witness, Witnesses, above_noise
 from aerobalance.estimation.checks.white_readings import Lines, Solved, White
 from aerobalance.estimation.component_force import Fitted
@@ -185,6 +185,17 @@ def told_of(fault: GroundFault) -> float:
     """The largest probability that a delay, a gain or a drift of a channel is no chance."""
     sizes = ((fault.delay, fault.u_delay), (fault.gain, fault.u_gain), (fault.drift, fault.u_drift))
     return max(fault.probability(*one) for one in sizes)
+
+
+@pytest.mark.parametrize("phase", [0.1, 0.6, 1.2])
+def test_a_loss_of_gain_is_the_delay_s_where_that_makes_it(phase):
+    """A channel that makes 3 N and is late by a phase: its sine and what is missing of its cosine, in closed form."""
+    loss, size = 1 - np.cos(phase), 3.0
+    of_delay = {"by_delay": size * np.sin(phase)}
+    assert _of_the_delay(-loss, **of_delay, by_gain=size * loss)
+    assert not _of_the_delay(-2.1 * loss, **of_delay, by_gain=size * 2.1 * loss)  # more than twice that
+    assert not _of_the_delay(loss, **of_delay, by_gain=size * loss)  # a delay takes off
+    assert not _of_the_delay(-loss, by_delay=0.0, by_gain=size * loss)
 
 
 def angle_between(white: White, some: Lines, others: Lines) -> float:

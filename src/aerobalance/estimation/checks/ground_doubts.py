@@ -106,16 +106,17 @@ def _doubts(
 
 
 def _of_the_delay(gain: float, *, by_delay: float, by_gain: float) -> bool:
-    """Whether a gain that is too small is what the delay itself does.
+    """Whether a loss of gain is what the delay itself makes to second order.
 
-    Motion at w that is late by t is cos(wt) of itself and sin(wt) of its rate over w.
+    A motion of angular frequency w that is late by t has cos(wt) of the motion in it, a loss of 1 - cos(wt), and
+    sin(wt) of the motion a quarter of a period earlier.
 
     Parameters
     ----------
     gain
         By how much it has to be changed [1].
     by_delay, by_gain
-        Errors of the force from both (rms), of which the latter is that part of all that the channel makes.
+        Errors of the force from both (rms): the latter over the gain is what the channel makes in all.
     """
     sine = min(by_delay * abs(gain) / by_gain, 1.0)
     return 0 < -gain < SETTINGS.second_order * (1 - float(np.sqrt(1 - sine**2)))
