@@ -89,7 +89,8 @@ def outliers_of(schedule: Schedule, model: str) -> tuple[tuple[Outlier, ...], st
 def test_a_wrong_reading_is_named_where_the_other_bridges_would_have_shown_its_load(make, rng) -> None:
     """Asked of each bridge alone, one of six of a stand's was not named: together they tell what none does.
 
-    Of 60 draws one is not, whose interactions come to few deviations: more than two of twelve are once in a thousand.
+    Of 60 draws of a stand one is not, whose interactions come to few deviations: more than two of twelve are once in a
+    thousand. Of 60 of single loads all are.
     """
     unnamed = 0
     for _ in range(trials(2, 12)):
@@ -97,7 +98,7 @@ def test_a_wrong_reading_is_named_where_the_other_bridges_would_have_shown_its_l
         wrong, cause = wrong_reading(schedule, *a_load(schedule, rng), rng)
         _, said = outliers_of(wrong, "quadratic")
         unnamed += cause not in said
-    assert unnamed <= 2
+    assert unnamed <= (trials(0, 2) if make is stand else 0)
 
 
 @pytest.mark.parametrize("change", [wrong_reading, wrong_sign, decimal_point, typing_error, other_column])
@@ -114,7 +115,7 @@ def test_one_mistake_is_named_by_its_point_and_kind(make, model: str, change: Ch
     label = schedule.label(point)
     outliers, said = outliers_of(wrong, model)
     assert repr(label) in said, said
-    if change is not wrong_reading:
+    if change is not wrong_reading or make is single:  # of a stand as the test before says
         assert cause in said, said
     if outliers:
         assert outliers[0].label == label
