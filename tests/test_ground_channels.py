@@ -201,7 +201,8 @@ def test_a_loss_of_gain_is_the_delay_s_where_that_makes_it(phase):
 def angle_between(white: White, some: Lines, others: Lines) -> float:
     """Sine of the largest angle between what two sets of shapes span in the white readings [1]."""
     # one half of their weights, as products of series have the whole
-    half = np.linalg.cholesky(white.weights).conj().swapaxes(-1, -2)
+    weights = np.repeat(white.weights, np.diff(white.edges), axis=0)
+    half = np.linalg.cholesky(weights).conj().swapaxes(-1, -2)
     lines = (np.matmul(half, one).reshape(-1, one.shape[-1]) for one in (some, others))
     one, other = (np.concatenate([each.real, each.imag]) for each in lines)
     return float(np.sin(subspace_angles(one / np.linalg.norm(one, axis=0), other / np.linalg.norm(other, axis=0))[0]))

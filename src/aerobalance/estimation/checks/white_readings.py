@@ -6,7 +6,7 @@ told from forces that they have not.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 
@@ -92,8 +92,10 @@ class White:
     shown
         Lines of what is left of the readings, shape (m, c) [1].
     weights
-        Inverse of the coherence of that at these frequencies, shape (m, c, c) [1]: components have the noise of
-        readings in common, which is little where there is a force.
+        Inverse of the coherence of that in each of b bands of these frequencies, shape (b, c, c) [1]: components have
+        the noise of readings in common, which is little where there is a force.
+    edges
+        First line of each band, and at the end the number of lines, shape (b + 1,).
     """
 
     filters: tuple[KalmanFilter, ...]
@@ -101,6 +103,7 @@ class White:
     unseen: tuple[int, ...]
     shown: Lines
     weights: Lines
+    edges: tuple[int, ...]
 
     @classmethod
     def of(cls, asked: Witnesses, filters: Sequence[KalmanFilter], *, without: Sequence[ChannelShapes] = ()) -> White:
@@ -112,8 +115,8 @@ class White:
             bases.append(_orthonormal(series[:, 1:]))
             shown.append(_less(series[:, 0], bases[-1]))
         lines = lines_of(np.column_stack(shown))
-        weights = np.broadcast_to(np.eye(len(shown), dtype=np.complex128), (*lines.shape, len(shown)))
-        plain = cls(tuple(filters), tuple(bases), unseen, lines, weights)
+        weights = np.eye(len(shown), dtype=np.complex128)[None]
+        plain = cls(tuple(filters), tuple(bases), unseen, lines, weights, (0, len(lines)))
         if len(shown) == 1:
             return plain
         if without:
@@ -123,7 +126,8 @@ class White:
                 for place, (one, own) in enumerate(zip(shown, felt, strict=True))
             ]
             lines = lines_of(np.column_stack(left))
-        return replace(plain, weights=_weights(lines, samples=shown[0].size))
+        weights, edges = _weights(lines, samples=shown[0].size)
+        return replace(plain, weights=weights, edges=edges)
 
     def columns(self, felt: Sequence[Array]) -> Lines:
         """Lines of balance loads by each component, shape (n, p) each, in its white readings, shape (m, c, p)."""
@@ -148,13 +152,28 @@ class White:
 
     def solved(self, columns: Lines, shown: Lines | None = None, *, expected: Array | None = None) -> Solved:
         """Sizes of shapes in the readings, or in others, that are expected to be of some size."""
-        weighted, shown = np.matmul(self.weights, columns), self.shown if shown is None else shown
-        both = _sum(weighted, np.concatenate([columns, shown[..., None]], axis=-1))  # weights are Hermitian
+        shown, shapes = self.shown if shown is None else shown, columns.shape[-1]
+        both = np.zeros((shapes, shapes + 1))
+        for own, weight in self.bands():  # of all lines at once the products would be as large as the shapes
+            some = columns[own]
+            whole = np.concatenate([some, shown[own, :, None]], axis=-1)
+            both += _sum(np.matmul(weight, some), whole)  # weights are Hermitian
         return Solved.of(both[:, :-1], both[:, -1], expected=expected)
 
     def squares(self, shown: Lines) -> float:
         """Sum of the squares of readings, shape (m, c), less what they have in common."""
-        return float(_sum(shown[..., None], np.matmul(self.weights, shown[..., None]))[0, 0])
+        return float(_sum(shown[..., None], self.weighted(shown)[..., None])[0, 0])
+
+    def weighted(self, shown: Lines) -> Lines:
+        """Readings times their weights, shape (m, c)."""
+        found = np.empty_like(shown)
+        for own, weight in self.bands():
+            np.matmul(shown[own], weight.T, out=found[own])
+        return found
+
+    def bands(self) -> Iterator[tuple[slice, Lines]]:
+        """The lines of each band, and their weights, shape (c, c)."""
+        return ((slice(*ends), weight) for ends, weight in zip(pairwise(self.edges), self.weights, strict=True))
 
 
 def _inside(series: Array, ends: int) -> Array:
@@ -185,23 +204,23 @@ def _sum(ones: Lines, others: Lines) -> Array:
     return np.asarray(np.real(flat.conj().T @ others.reshape(len(flat), *others.shape[2:])), dtype=np.float64)
 
 
-def _weights(lines: Lines, *, samples: int) -> Lines:
-    """Inverse of the coherence of white series of so many samples, in bands of their frequencies, shape (m, c, c)."""
+def _weights(lines: Lines, *, samples: int) -> tuple[Lines, tuple[int, ...]]:
+    """Inverse of the coherence of white series of so many samples in bands, shape (b, c, c), and the bands' edges."""
     count, size = lines.shape
-    power = np.einsum("mi,mj->mij", lines, lines.conj())
-    weights = np.empty_like(power)
     edges = [0]
     while edges[-1] < count:
         wide = max(SETTINGS.coherent, edges[-1] // SETTINGS.part)
         edges.append(count if edges[-1] + 2 * wide > count else edges[-1] + wide)
-    for first, last in pairwise(edges):
-        whole = power[first:last].sum(axis=0)
+    weights = np.empty((len(edges) - 1, size, size), dtype=np.complex128)
+    for place, (first, last) in enumerate(pairwise(edges)):
+        own = lines[first:last]
+        whole = own.T @ own.conj()
         scale = np.maximum(np.sqrt(np.real(np.diag(whole))), 1e-300)
         level, turned = np.linalg.eigh(whole / np.outer(scale, scale))
         # of so many independent lines the inverse is too large by this part; that of one series is one
         bias = 1 - (size - 1) * length_of(samples) / ((last - first) * samples)
-        weights[first:last] = bias * (turned / np.maximum(level, SETTINGS.least)) @ turned.conj().T
-    return np.asarray(weights, dtype=np.complex128)
+        weights[place] = bias * (turned / np.maximum(level, SETTINGS.least)) @ turned.conj().T
+    return weights, tuple(edges)
 
 
 def _orthonormal(columns: Array) -> Array:
