@@ -15,6 +15,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import next_fast_len
 
 from aerobalance.recording.analog_filter import AntiAlias
 from aerobalance.recording.channel import Array, Channel, unit_inside
@@ -177,7 +178,7 @@ def _changed(
     level_over: int = 1,
 ) -> Array:
     """Change the spectrum of a record that is continued at its ends."""
-    reach = min(values.size - 1, max(256, values.size // 4))
+    reach = _reach(values.size)
     padded = np.pad(values, reach, mode="reflect", reflect_type="odd")
     if level_over > 2:
         padded[:reach] += 2 * (_level(values[:level_over]) - values[0])
@@ -192,6 +193,16 @@ def _changed(
     frequency = np.asarray(np.fft.rfftfreq(padded.size, 1 / rate), dtype=np.float64)
     spectrum = change(np.fft.rfft(padded), frequency)
     return np.fft.irfft(spectrum, padded.size)[reach : reach + values.size]
+
+
+def _reach(count: int) -> int:
+    """Samples that a record of so many is continued by at either end: a quarter, or some more for a fast transform."""
+    least = min(count - 1, max(256, count // 4))
+    whole = next_fast_len(count + 2 * least, real=True)
+    while (whole - count) % 2:
+        whole = next_fast_len(whole + 1, real=True)
+    reach = (whole - count) // 2
+    return reach if reach < count else least
 
 
 def _level(values: Array) -> float:
