@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -11,8 +13,8 @@ from aerobalance.recording.decimation import (
     SPAN,
     Decimation,
     band_limited_weights,
-    between_samples,
     decimation_filter,
+    ends_between_samples,
 )
 
 FACTORS = [4, 9, 16]
@@ -92,11 +94,30 @@ def test_back_on_the_fast_clock(factor: int, rng: np.random.Generator) -> None:
     np.testing.assert_array_equal(part, found[decimation.span(begin, end)])
 
 
+@pytest.mark.parametrize("factor", FACTORS)
+def test_pieces_are_those_of_the_whole(factor: int, rng: np.random.Generator) -> None:
+    """Whatever their lengths: the shortest piece at an end is less than the interpolation reaches."""
+    slow = rng.normal(size=400)
+    decimation = Decimation(factor, 400 * factor - 1)
+    whole = decimation.interpolated(slow, 0, decimation.count)
+    ends = [0, 1, BETWEEN // 2, 200, 400 - BETWEEN // 2, 399, 400]
+    pieces = [decimation.interpolated(slow, *two) for two in pairwise(ends)]
+    found, inside = np.concatenate(pieces), slice((BETWEEN + 1) * factor, -(BETWEEN + 1) * factor)
+    # rounding of products of other shapes, of samples of up to some 4
+    np.testing.assert_allclose(found[inside], whole[inside], rtol=0, atol=1e-13)
+    # and of the solution beside an end, whose condition is the inverse of noise over series, 1e10
+    np.testing.assert_allclose(found, whole, rtol=0, atol=1e10 * np.finfo(float).eps * np.abs(whole).max())
+
+
 def test_peaks_between_samples() -> None:
-    time = np.arange(400) / 9.0  # nine samples in a period
-    found = between_samples(np.sin(2 * np.pi * time + 0.3), 8)
-    assert found[200:-200].max() == pytest.approx(1.0, abs=1e-3)  # a 72nd of a period off: 1 - cos(2 pi / 144)
-    assert found.size == 399 * 8 + 1
+    time = np.arange(12_000) / 9.0  # nine samples in a period
+    rise = np.where(np.abs(time - 1000) < 20, 1.5, 1.0)  # in a later piece than the first
+    least, largest = ends_between_samples(rise * np.sin(2 * np.pi * time + 0.3), 8)
+    # a 72nd of a period off, 1 - cos(2 pi / 144), and beside the rise what is not band-limited
+    assert largest == pytest.approx(1.5, rel=2e-2)
+    assert least == pytest.approx(-1.5, rel=2e-2)
+    assert ends_between_samples(np.sin(2 * np.pi * time + 0.3)[5000:5400], 8)[1] == pytest.approx(1.0, abs=2e-2)
+    assert ends_between_samples(np.full(100, np.nan), 8) == (np.inf, -np.inf)
 
 
 def test_the_estimate_beside_an_end_is_the_best(rng: np.random.Generator) -> None:

@@ -107,14 +107,17 @@ class DecoupledRecord(ComponentRecord):
             slopes = through(own) @ self._by_parameters(self.decoupled, of_mass=of_mass)
             return Systematic(name, "dynamics", tuple(names), slopes, quantities @ quantities.T, quantities)
         # of all parameters few directions show: the rest is neither worked out nor kept sample by sample
-        series, numbers = own, self._numbers(self.decoupled, uncertain)
+        parts, numbers = [own], self._numbers(self.decoupled, uncertain)
         least = 0.0 if self.shared is None else FAINT * self.shared.before
         for other in self.others:
             # what is wrong in the row of another is taken for noise that it shows
             theirs, of_theirs = self._effects(other, of_mass=of_mass), self._numbers(other, uncertain)
             kept = _directions(theirs, of_theirs, least=least / len(self.others))
-            series = np.column_stack([series, -self._taken_off(theirs @ (of_theirs @ kept), other)])
+            parts.append(-self._taken_off(theirs @ (of_theirs @ kept), other))
             numbers = np.vstack([numbers, kept.T])
+            del theirs  # of a long record as large as all that is kept of them
+        series = np.vstack([part.T for part in parts]).T
+        del own, parts
         kept = _directions(series, numbers, least=least)
         names = [f"direction {number} of inertia, damping and mass" for number in range(1, kept.shape[1] + 1)]
         sums, slopes = numbers @ kept, np.empty((len(names), len(self.loads)))

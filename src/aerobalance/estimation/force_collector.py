@@ -14,7 +14,7 @@ from aerobalance.estimation.force_parts import ForcePart
 from aerobalance.estimation.result import ComponentForce, ForceSummary
 from aerobalance.estimation.spectra.lines import Line
 from aerobalance.estimation.steps import Step
-from aerobalance.estimation.sums import ForceSums, Key, SampledForce, SpectrumSums, segment_length
+from aerobalance.estimation.sums import ForceSums, Key, SpectrumSums, segment_length
 from aerobalance.recording.channel import Array
 from aerobalance.recording.doubts import Assumption, Doubt, of_all_parts
 
@@ -182,14 +182,13 @@ class ForceCollector:
         pieces: dict[str, dict[Key, list[tuple[int, Systematic | Noise]]]] = {}
         summaries: dict[str, SummaryOfParts] = {}
         for one in parts:
-            for name, part in one.values.items():
+            for name in one.values:
                 if name not in summaries:
                     summaries[name] = SummaryOfParts(name, self.working, self.every)
                     values[name], us[name] = np.full((2, self.samples), np.nan)
                     pieces[name] = {}
-                found = one.sampled.get(name, SampledForce(one.first, 1, part, one.uncertainty[name]))
-                own = slice(found.first, found.first + found.values.size)
-                values[name][own], us[name][own] = found.values, found.uncertainty
+                for own, value, u in one.pieces_of(name):
+                    values[name][own], us[name][own] = value, u
                 for source in one.contributions[name]:
                     pieces[name].setdefault((source.name, source.source), []).append((one.first, source))
                 summaries[name].add(one)

@@ -14,7 +14,7 @@ standard deviation of a mixture, w (1 - w) times the square of the difference.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from math import sqrt
 from typing import Any, Final
@@ -26,8 +26,8 @@ from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.dynamics.modal import Mode
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.error_sources import Noise, Systematic, undivided
+from aerobalance.estimation.sampled_force import AT_ONCE, SampledForce
 from aerobalance.estimation.steps import Step
-from aerobalance.estimation.sums import SampledForce
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import DOUBTED, Doubt
@@ -70,7 +70,7 @@ class Division:
     """
 
     readings: int = 6 * 57344
-    decimated: tuple[float, float] = (11 / 14, 6.6)
+    decimated: tuple[float, float] = (11 / 7, 13.2)
     round_to: int = 1 << 12
     decay_times: float = 4.0
     margin: tuple[int, float] = (1 << 12, 1 / 8)
@@ -146,7 +146,7 @@ class ForcePart:
     doubts
         What the part says against its forces, and where it is joined against that of the part before.
     sampled
-        Force and uncertainty on the record's own clock by component, where that is faster; nothing where it is not.
+        The force on the record's own clock by component, where that is faster; nothing where it is not.
     clock
         That clock: a recording of the channels without their samples, and which of its samples they are; None where
         the part's own recording is it.
@@ -164,15 +164,32 @@ class ForcePart:
     sampled: Mapping[str, SampledForce] = field(default_factory=dict)
     clock: tuple[Recording, slice] | None = None
 
-    @property
-    def samples_of_record(self) -> tuple[Recording, slice, Mapping[str, Array], Mapping[str, Array]] | None:
-        """The record's clock, which of its samples these are, force and uncertainty there; None where is none."""
+    def pieces_of(self, component: str) -> Iterator[tuple[slice, Array, Array]]:
+        """Which samples of the record, force and uncertainty of a component there [N, N*m]; some of them at a time."""
+        if component in self.sampled:
+            yield from self.sampled[component].pieces()
+            return
+        values, uncertainty = self.values[component], self.uncertainty[component]
+        for begin in range(0, values.size, AT_ONCE):
+            some = slice(begin, min(begin + AT_ONCE, values.size))
+            yield slice(self.first + some.start, self.first + some.stop), values[some], uncertainty[some]
+
+    def samples_of_record(self) -> Iterator[tuple[Recording, slice, dict[str, Array], dict[str, Array]]]:
+        """The record's clock, which of its samples, force and uncertainty there; none where there is no force.
+
+        Some samples at a time: of all at once those of all components would be the largest thing in memory.
+        """
         if self.force is None:
-            return None
-        if self.clock is None:
-            return self.force.recording, self.own, self.values, self.uncertainty
-        found = self.sampled.items()
-        return *self.clock, {name: one.values for name, one in found}, {name: one.uncertainty for name, one in found}
+            return
+        recording, own = self.clock or (self.force.recording, self.own)
+        begin: int | None = None
+        for pieces in zip(*(self.pieces_of(name) for name in self.values), strict=True):
+            there = pieces[0][0]
+            begin = there.start if begin is None else begin
+            place = own.start - begin
+            values = {name: value for name, (_, value, _) in zip(self.values, pieces, strict=True)}
+            uncertainty = {name: u for name, (_, _, u) in zip(self.values, pieces, strict=True)}
+            yield recording, slice(place + there.start, place + there.stop), values, uncertainty
 
     @property
     def own(self) -> slice:

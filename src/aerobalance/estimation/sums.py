@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 
 from aerobalance.estimation.error_sources import Noise, Systematic, added
+from aerobalance.estimation.sampled_force import End, SampledForce
 from aerobalance.recording.channel import Array
 from aerobalance.recording.fourier import averaged_spectrum
 
@@ -30,25 +31,6 @@ LONGEST_SEGMENT: Final = 4096
 def segment_length(samples: int) -> int:
     """Return the number of samples of one segment of a record's spectrum."""
     return min(max(samples // SEGMENTS, 32), LONGEST_SEGMENT, samples)
-
-
-class SampledForce(NamedTuple):
-    """A force on the record's own clock, where that is faster than the one that it was worked out on.
-
-    Attributes
-    ----------
-    first
-        Number of its first sample in the record.
-    every
-        Samples of the record for each of the slower clock.
-    values, uncertainty
-        Force and its standard uncertainty, shape (n,) each [N].
-    """
-
-    first: int
-    every: int
-    values: Array
-    uncertainty: Array
 
 
 @dataclass(slots=True)
@@ -153,9 +135,11 @@ class ForceSums:
         self.total += float(change.sum())
         self.square += float(change @ change)
         self.variance += float(uncertainty @ uncertainty)
-        ends = SampledForce(first, 1, values, uncertainty) if sampled is None else sampled
-        extremes = int(np.argmax(ends.values)), int(np.argmin(ends.values))
-        places = [min((one + ends.every // 2) // ends.every, values.size - 1) for one in extremes]
+        if sampled is None:
+            ends, every, begin = End.both(values, uncertainty, first=first), 1, first
+        else:
+            ends, every, begin = sampled.ends, sampled.every, sampled.span.start
+        places = [min((one.sample - begin + every // 2) // every, values.size - 1) for one in ends]
         parts: list[dict[Key, float]] = [{}, {}]
         weights = np.stack([np.ones(values.size), change])
         for one in contributions:
@@ -163,10 +147,7 @@ class ForceSums:
             for place, found in zip(places, parts, strict=True):
                 found[key] = float(np.hypot(found.get(key, 0.0), deviation[place]))
             self._add_row(key, one, deviation, weights=weights)
-        largest, least = (
-            Extreme(float(ends.values[place]), float(ends.uncertainty[place]), ends.first + place, found)
-            for place, found in zip(extremes, parts, strict=True)
-        )
+        largest, least = (Extreme(*end, found) for end, found in zip(ends, parts, strict=True))
         if self.largest is None or largest.value > self.largest.value:
             self.largest = largest
         if self.least is None or least.value < self.least.value:

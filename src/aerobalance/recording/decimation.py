@@ -187,7 +187,8 @@ class Decimation:
         ----------
         series
             Values on the slow clock, shape (n,), band-limited to 1 - ROLL_OFF of its Nyquist frequency: those from
-            `begin` to `end` and `BETWEEN` more on either side, or up to the end of the record.
+            `begin` to `end` and `BETWEEN` more on either side, or up to the end of the record; up to that too from
+            less than `BETWEEN` before it on.
         begin, end
             First sample of the slow clock, and the one after the last.
         first
@@ -206,10 +207,10 @@ class Decimation:
             place = ahead + at * factor
             out[place : place + between.size] = between[: max(out.size - place, 0)]
         places = np.arange(span.start, span.stop) - self.before
-        if begin == 0:
+        if begin < BETWEEN:
             near = places < BETWEEN * factor
             out[near] = _beside_end(series, places[near] / factor)
-        if end == self.count:
+        if end > self.count - BETWEEN:
             back = (self.count - 1) * factor - places  # counted from the last sample of the slow clock
             near = back < BETWEEN * factor
             out[near] = _beside_end(series[::-1], back[near] / factor)
@@ -219,7 +220,7 @@ class Decimation:
 def _weights_at_end(places: NDArray[np.intp], factor: int) -> Array:
     """Weights of the first samples of a record in the samples of the slow clock at `places`, (m, 2 SPAN factor)."""
     band = (1 - ROLL_OFF) / (2 * factor)
-    return band_limited_weights(places.astype(np.float64), 2 * SPAN * factor, band=band, noise=BAND_NOISE)
+    return _weights(places.astype(np.float64).tobytes(), 2 * SPAN * factor, band, BAND_NOISE)
 
 
 def _beside_end(series: Array, places: Array) -> Array:
@@ -228,13 +229,26 @@ def _beside_end(series: Array, places: Array) -> Array:
     For the end, give the series in reverse order.
     """
     count = min(4 * BETWEEN, series.size)
-    return np.asarray(band_limited_weights(places, count, band=0.5 * (1 - ROLL_OFF), noise=CLEAN) @ series[:count])
+    return np.asarray(_weights(places.tobytes(), count, 0.5 * (1 - ROLL_OFF), CLEAN) @ series[:count])
 
 
-def between_samples(values: Array, factor: int) -> Array:
-    """Return a band-limited series on a clock that is faster by a factor, shape ((n - 1) factor + 1,)."""
+@lru_cache(maxsize=8)  # all channels of a record have the same ends, and are asked there one after the other
+def _weights(places: bytes, count: int, band: float, noise: float) -> Array:
+    """`band_limited_weights` for places in a form that can be remembered."""
+    return band_limited_weights(np.frombuffer(places), count, band=band, noise=noise)
+
+
+def ends_between_samples(values: Array, factor: int) -> tuple[float, float]:
+    """Return the least and the largest value of a band-limited series on a clock that is faster by a factor.
+
+    Where samples are NaN there is none for a few on either side; without any, the least is inf and the largest -inf.
+    """
     decimation = Decimation(factor, (values.size - 1) * factor + 1)
-    return decimation.interpolated(values, 0, values.size)
+    least, largest = np.inf, -np.inf
+    for begin in range(0, values.size, _INTERPOLATED_AT_ONCE):
+        some = decimation.interpolated(values, begin, min(begin + _INTERPOLATED_AT_ONCE, values.size))
+        least, largest = np.nanmin(some, initial=least), np.nanmax(some, initial=largest)
+    return float(least), float(largest)
 
 
 @lru_cache(maxsize=4)  # the pieces of a record have one length, or at its ends others

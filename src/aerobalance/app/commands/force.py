@@ -43,9 +43,6 @@ from aerobalance.recording.recording import Recording
 from aerobalance.recording.side_by_side import side_by_side
 from aerobalance.uncertainty.monte_carlo import MonteCarlo, monte_carlo
 
-AT_ONCE: Final = 1 << 16
-"""Samples that are written together."""
-
 DEFAULT_SEED: Final = 1
 """Seed of Monte Carlo where none is given, so that the same inputs give the same result."""
 
@@ -217,14 +214,8 @@ def _worked_out(work: ForceWork, out: Path, append: Append, *, pictured: bool) -
 
 def _append_samples(given: ForcePart, out: Path, append: Append) -> None:
     """Write the forces of a part, some samples at a time."""
-    there = given.samples_of_record
-    if there is None:
-        return
-    clock, own, values, uncertainty = there
-    for first in range(0, own.stop - own.start, AT_ONCE):
-        some = slice(first, min(first + AT_ONCE, own.stop - own.start))
-        columns = [{name: one[some] for name, one in column.items()} for column in (values, uncertainty)]
-        append(force_columns(out, clock, slice(own.start + some.start, own.start + some.stop), *columns))
+    for clock, own, values, uncertainty in given.samples_of_record():
+        append(force_columns(out, clock, own, values, uncertainty))
 
 
 def _checked(work: ForceWork, found: _KeptForces, check: Check | None) -> dict[str, MonteCarlo]:

@@ -31,7 +31,7 @@ from aerobalance.io.balfit_matrix import write_balfit_matrix
 from aerobalance.io.kinds import TABLE
 from aerobalance.io.results_file import load_columns, writing
 from aerobalance.recording.channel import Array
-from aerobalance.recording.decimation import between_samples
+from aerobalance.recording.decimation import ends_between_samples
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.part_warnings import PartWarnings
 from aerobalance.recording.parts import parts_of
@@ -192,11 +192,11 @@ class LoadsSummary:
             np.nansum(calibration**2, axis=0) * (values.shape[0] / max(calibration.shape[0], 1)),
             count * every * felt.noise**2,
         ]
-        for place, column in enumerate(values.T):  # one at a time: of a long part each is large
-            # the largest lie between the samples of a slower clock
-            ends = between_samples(column, every) if every > 1 else column
-            self._ends[0, place] = min(self._ends[0, place], np.nanmin(ends, initial=np.inf))
-            self._ends[1, place] = max(self._ends[1, place], np.nanmax(ends, initial=-np.inf))
+        if every > 1:  # the largest lie between the samples of a slower clock
+            least, largest = np.array([ends_between_samples(column, every) for column in values.T]).T
+        else:
+            least, largest = np.nanmin(values, axis=0, initial=np.inf), np.nanmax(values, axis=0, initial=-np.inf)
+        self._ends = np.array([np.minimum(self._ends[0], least), np.maximum(self._ends[1], largest)])
         self._missing += int(np.count_nonzero(~known.all(axis=1)))
         self._beyond.update(beyond_range(felt.balance, felt.native[own]))
         self._contraction = max(self._contraction, felt.contraction)
