@@ -14,7 +14,7 @@ from aerobalance.estimation.checks.noise_level import departure_of
 from aerobalance.estimation.component_force import noise_of_component
 from aerobalance.estimation.force import estimate_force, force_record
 from aerobalance.estimation.live.live_force import LiveForce
-from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.signal_model import SAME_LINE, SAME_NOISE, _differ
 from aerobalance.estimation.spectra.noise_candidates import beyond_a_gap
 from aerobalance.estimation.spectra.noise_floor import GRID, _Explanation, _left_open, lasts

@@ -24,7 +24,7 @@ from aerobalance.estimation.checks.ringing import RingingSpectra
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.error_sources import Noise
 from aerobalance.estimation.force import estimate_force
-from aerobalance.estimation.prior import Observation, SpectralPrior
+from aerobalance.estimation.observation import Observation, SpectralPrior
 from aerobalance.estimation.spectra.lines import Line
 from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter

@@ -10,7 +10,8 @@ from scipy.fft import irfft
 from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.estimation.force import force_record
 from aerobalance.estimation.force_smoother import SmootherResult
-from aerobalance.estimation.prior import Observation, SpectralPrior, fit_prior
+from aerobalance.estimation.observation import Observation, SpectralPrior
+from aerobalance.estimation.prior import fit_prior
 from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, StateSpace
 from aerobalance.estimation.statespace.model_draws import FORGOTTEN, ModelDraws

@@ -9,7 +9,7 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.mains_hum import hidden_harmonics
 from aerobalance.estimation.force import estimate_force
-from aerobalance.estimation.prior import Observation, SpectralPrior
+from aerobalance.estimation.observation import Observation, SpectralPrior
 from aerobalance.estimation.spectra.line_noise import _line_of, _Near, hum_lines, load_harmonics
 from aerobalance.estimation.spectra.lines import Line, columns_of_lines, reading_of_lines
 from aerobalance.estimation.spectra.periodogram import Spectrum

@@ -7,11 +7,12 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.estimation.decoupled_record import balance_load
+from aerobalance.estimation.least_squares import generalised_least_squares
 from aerobalance.estimation.live.decoupling import MARGIN, Decoupler
 from aerobalance.estimation.live.live_force import JUDGED, LiveForce
 from aerobalance.estimation.live.platform import LiveChannel, LivePlatform
 from aerobalance.estimation.live.settings import LiveSettings
-from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares
+from aerobalance.estimation.observation import Observation, SpectralPrior
 from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.kalman import FORCE, KalmanFilter
 from aerobalance.recording.components import COMPONENTS

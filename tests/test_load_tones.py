@@ -6,7 +6,7 @@ import pytest
 import aerobalance as ab
 from aerobalance.estimation.checks.asked_readings import unbroken
 from aerobalance.estimation.force_smoother import forces_of_tones
-from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.spectra.lines import Line, columns_of_lines, reading_of_lines, turned_time
 from aerobalance.estimation.spectra.load_tones import load_tones
 from aerobalance.recording.channel import Channel

@@ -6,7 +6,7 @@ import pytest
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.not_linear import all_along, friction_of, not_linear
 from aerobalance.estimation.checks.step_ringing import friction_by_steps
-from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.observation import Observation
 from faults.cases import all_cases, dynamics
 from faults.scene import Scene, band, step, together
 from faults.trials import of_one, scores, trial, worked_out

@@ -23,7 +23,8 @@ from aerobalance.estimation.checks.spoken import SETTINGS as SPOKEN
 from aerobalance.estimation.checks.spoken import Spoken
 from aerobalance.estimation.checks.step_ringing import change_by_steps
 from aerobalance.estimation.force import estimate_force
-from aerobalance.estimation.prior import Observation, fit_prior
+from aerobalance.estimation.observation import Observation
+from aerobalance.estimation.prior import fit_prior
 from aerobalance.estimation.steps import Step
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.recording.channel import Array, Channel

@@ -11,16 +11,9 @@ from scipy.stats import multivariate_normal
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation import step_search
 from aerobalance.estimation.force import estimate_force
-from aerobalance.estimation.prior import (
-    Observation,
-    SpectralPrior,
-    evenly_weighted,
-    fit_prior,
-    generalised_least_squares,
-    least_squares,
-    log_likelihood,
-    refine_edges,
-)
+from aerobalance.estimation.least_squares import generalised_least_squares, least_squares, log_likelihood
+from aerobalance.estimation.observation import Observation, SpectralPrior
+from aerobalance.estimation.prior import evenly_weighted, fit_prior, refine_edges
 from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.kalman import FORCE, KalmanFilter
 from aerobalance.estimation.statespace.shaping_filter import EDGE, ShapingFilter

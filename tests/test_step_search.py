@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from aerobalance.estimation.prior import Observation, fit_prior, generalised_least_squares, log_likelihood
+from aerobalance.estimation.least_squares import generalised_least_squares, log_likelihood
+from aerobalance.estimation.observation import Observation
+from aerobalance.estimation.prior import fit_prior
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.step_fit import gains_of_ramps
 from aerobalance.estimation.step_scan import Scan

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from aerobalance.dynamics.single import Mode
-from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.statespace.kalman import KalmanFilter, StateSpace
 from aerobalance.estimation.step_window import StepWindow
 from helpers.butterworth import butterworth

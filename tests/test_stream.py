@@ -8,6 +8,7 @@ import pytest
 from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
+from aerobalance.estimation.least_squares import generalised_least_squares
 from aerobalance.estimation.live.decoupling import Decoupler
 from aerobalance.estimation.live.filter import false_alarm_evidence
 from aerobalance.estimation.live.health import Health, Watch, wide_process
@@ -15,7 +16,7 @@ from aerobalance.estimation.live.live_force import LiveForce
 from aerobalance.estimation.live.motion_test import MotionTest, MotionTestSettings
 from aerobalance.estimation.live.platform import LiveChannel
 from aerobalance.estimation.live.settings import LiveSettings
-from aerobalance.estimation.prior import Observation, SpectralPrior, generalised_least_squares
+from aerobalance.estimation.observation import Observation, SpectralPrior
 from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.kalman import FORCE, KalmanFilter
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter

@@ -13,7 +13,7 @@ from aerobalance.estimation.force import estimate_force, force_record, noise_spe
 from aerobalance.estimation.force_smoother import LinearSmoother, SmootherResult
 from aerobalance.estimation.independent_record import SingleRecord
 from aerobalance.estimation.noise_draws import NoiseDraws
-from aerobalance.estimation.prior import SpectralPrior
+from aerobalance.estimation.observation import SpectralPrior
 from aerobalance.estimation.result import ComponentForce, budget_of, with_balance
 from aerobalance.estimation.statespace.model_draws import ModelDraws
 from aerobalance.motion.single_axis import GroundMotion

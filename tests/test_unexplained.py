@@ -5,7 +5,8 @@ import pytest
 
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.unexplained import excess_of, missed_force, sudden_excess
-from aerobalance.estimation.prior import Observation, fit_prior
+from aerobalance.estimation.observation import Observation
+from aerobalance.estimation.prior import fit_prior
 from aerobalance.estimation.steps import columns_of
 
 MASS, FREQUENCY, RATIO, RATE, NOISE = 177.87, 66.4, 0.01, 1600.0, 2.0

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 from scipy.fft import irfft, rfft, rfftfreq
 
-from aerobalance.estimation.prior import Observation, fit_prior
+from aerobalance.estimation.observation import Observation
+from aerobalance.estimation.prior import fit_prior
 from aerobalance.estimation.spectra.line_noise import hum_lines
 from aerobalance.recording.channel import Array
 from helpers.accuracy import RIG

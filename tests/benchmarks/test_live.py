@@ -14,7 +14,8 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.decoupled_record import balance_load
 from aerobalance.estimation.live.live_force import LiveForce
 from aerobalance.estimation.live.settings import LiveSettings
-from aerobalance.estimation.prior import Observation, SpectralPrior, fit_prior
+from aerobalance.estimation.observation import Observation, SpectralPrior
+from aerobalance.estimation.prior import fit_prior
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array
 from aerobalance.simulation import CableCut, Sensor

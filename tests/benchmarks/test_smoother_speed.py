@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.fft import irfft, rfft
 
-from aerobalance.estimation.prior import Observation, fit_prior
+from aerobalance.estimation.observation import Observation
+from aerobalance.estimation.prior import fit_prior
 from aerobalance.estimation.statespace.kalman import FORCE, KalmanFilter
 from helpers.accuracy import RIG, SHARP, T128, smooth_run
 

@@ -24,7 +24,8 @@ from aerobalance.estimation.checks.evidence import Evidence
 from aerobalance.estimation.checks.ground_witnesses import Witness
 from aerobalance.estimation.component_force import Fitted
 from aerobalance.estimation.force import estimate_force
-from aerobalance.estimation.prior import Observation, log_likelihood
+from aerobalance.estimation.least_squares import log_likelihood
+from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.steps import Step, columns_of
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import COMPONENTS, si_unit

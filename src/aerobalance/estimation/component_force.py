@@ -27,7 +27,8 @@ from aerobalance.estimation.error_sources import Contribution, Noise
 from aerobalance.estimation.force_smoother import LinearSmoother, SmootherResult
 from aerobalance.estimation.ground_gaps import has_hidden_motion, with_hidden_motion
 from aerobalance.estimation.independent_record import SingleRecord, moves_along_axis
-from aerobalance.estimation.prior import Observation, SpectralPrior, fit_prior, resolved_bandwidth
+from aerobalance.estimation.observation import Observation, SpectralPrior
+from aerobalance.estimation.prior import fit_prior, resolved_bandwidth
 from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.result import ComponentForce, with_errors
 from aerobalance.estimation.signal_model import SignalModel, fit_signal_model

@@ -25,7 +25,8 @@ from numpy.typing import NDArray
 
 from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.modal import ModalModel
-from aerobalance.estimation.prior import BESIDE_A_GAP, Observation, SpectralPrior
+from aerobalance.estimation.observation import Observation, SpectralPrior
+from aerobalance.estimation.prior import BESIDE_A_GAP
 from aerobalance.estimation.spectra.noise_spectrum import ShapedNoise
 from aerobalance.estimation.spectra.periodogram import Periodogram
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter

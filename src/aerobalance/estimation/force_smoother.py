@@ -10,13 +10,8 @@ from typing import Final
 import numpy as np
 
 from aerobalance.estimation.error_sources import Contribution, Noise, Systematic
-from aerobalance.estimation.prior import (
-    Observation,
-    SpectralPrior,
-    generalised_least_squares,
-    least_squares,
-    whitened,
-)
+from aerobalance.estimation.least_squares import generalised_least_squares, least_squares, whitened
+from aerobalance.estimation.observation import Observation, SpectralPrior
 from aerobalance.estimation.spectra.lines import Line, columns_of_lines
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, StateSpace
 from aerobalance.estimation.steps import Step, columns_of, response_to, shape_of, side_variance

@@ -14,7 +14,7 @@ import numpy as np
 
 from aerobalance.estimation.force_smoother import SmootherResult, instant_columns
 from aerobalance.estimation.independent_record import SingleRecord, moves_along_axis
-from aerobalance.estimation.prior import whitened
+from aerobalance.estimation.least_squares import whitened
 from aerobalance.estimation.record import ComponentRecord
 from aerobalance.motion.gaps import GAP
 from aerobalance.motion.platform import SystematicParameter

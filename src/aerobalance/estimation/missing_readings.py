@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.component_force import Fitted
 from aerobalance.estimation.error_sources import Noise, Systematic
-from aerobalance.estimation.prior import whitened
+from aerobalance.estimation.least_squares import whitened
 from aerobalance.estimation.record import BalanceRecord, ComponentRecord
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.steps import columns_of

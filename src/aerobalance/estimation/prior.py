@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from aerobalance.dynamics.modal import ModalModel
-from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, ShapedNoise
+from aerobalance.estimation.least_squares import generalised_least_squares, least_squares, log_likelihood
+from aerobalance.estimation.observation import Observation, SpectralPrior
 from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum
 from aerobalance.estimation.spectra.whittle import fit_spectrum
 from aerobalance.estimation.spectra.windows import density_of, share_of, share_seen
-from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, StateSpace
+from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter
 from aerobalance.estimation.statespace.shaping_filter import EDGE, ShapingFilter
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import FitError
 from aerobalance.recording.resampling import gaps_in, interpolate_gaps_linearly
 
 BACKGROUND: Final = 1e-2
@@ -51,9 +49,6 @@ UNEVEN_LEAK: Final = 0.03
 UNEVEN_EVIDENCE: Final = 25.0
 """Gain in log-likelihood of the innovations for which the ends are weighed as the middle."""
 
-DEPENDENT: Final = 1e-7
-"""Singular value of scaled shapes over the largest below which they depend on each other."""
-
 BESIDE_A_GAP: Final = 64
 """Readings on either side of a gap at most from whose mean a line leads across it."""
 
@@ -64,119 +59,6 @@ ones is told by the readings beside them."""
 
 MOST_HIDDEN: Final = 0.9
 """Share of the force's power that gaps may hide at most: of a record with less, its level is not made up for."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class SpectralPrior:
-    """The process that the force is taken for, and the noise, that go with a record.
-
-    Attributes
-    ----------
-    spectrum
-        Spectrum of the force.
-    shaping
-        Shaping filter of that spectrum.
-    noise
-        Standard deviation of the white noise of a reading [N].
-    color
-        What the noise has beyond that; None if nothing.
-    rising
-        Whether the force may be stronger where the balance weakens it than elsewhere.
-    even
-        Whether the ends of the record were weighed as its middle.
-    """
-
-    spectrum: Spectrum
-    shaping: ShapingFilter
-    noise: float
-    color: ColoredNoise | ShapedNoise | None = None
-    rising: bool = False
-    even: bool = False
-
-    def noise_density(self, frequency: Array, *, interval: float) -> Array:
-        """Two-sided density of the noise of a reading, its mean about evenly spaced frequencies [Hz], [N^2/Hz]."""
-        white = np.full(frequency.shape, self.noise**2 * interval)
-        if self.color is None:
-            return white
-        return white + self.color.density(frequency, width=float(frequency[1] - frequency[0]))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Observation:
-    """One component's record as the estimator takes it.
-
-    Attributes
-    ----------
-    values
-        Balance load less the response to known inputs, shape (n,) [N]; NaN where missing.
-    interval
-        Time between samples [s].
-    dynamics
-        The balance.
-    input_density
-        Density of the white force noise that comes with the known inputs [N^2/Hz].
-    noise
-        Standard deviation of the white noise of a reading [N]; None when it is to be learned.
-    hum
-        Frequencies of steady lines that are no force [Hz].
-    tones
-        Frequencies of steady lines of the force [Hz].
-    drift
-        How these drift along the record, all alike (`aerobalance.estimation.spectra.lines.turned_time`).
-    color
-        What the noise has beyond that; None if nothing is known of it.
-    rising
-        Whether the force was seen to be stronger where the balance weakens it than elsewhere.
-    decimated
-        Samples of a faster clock that each reading was made of; 1 where none were.
-    even
-        Whether what is learned weighs the ends of the record as its middle (`evenly_weighted`).
-    """
-
-    values: Array
-    interval: float
-    dynamics: ModalModel
-    input_density: float = 0.0
-    noise: float | None = None
-    hum: tuple[float, ...] = ()
-    tones: tuple[float, ...] = ()
-    drift: tuple[float, ...] = ()
-    color: ColoredNoise | ShapedNoise | None = None
-    rising: bool = False
-    decimated: int = 1
-    even: bool = False
-
-    @property
-    def present(self) -> NDArray[np.bool_]:
-        """True where there is a reading, shape (n,)."""
-        return np.isfinite(self.values)
-
-    @property
-    def filled(self) -> Array:
-        """The readings with zero where one is missing, shape (n,) [N]."""
-        return np.where(self.present, self.values, 0.0)
-
-    @property
-    def swing(self) -> float:
-        """Largest departure from the mean [N]: no free oscillation under way at the start is larger."""
-        return float(np.nanmax(np.abs(self.values - np.nanmean(self.values)))) + self.least_noise
-
-    @property
-    def least_noise(self) -> float:
-        """Noise below which double precision cannot tell a reading from its prediction [N]."""
-        return 1e-7 * float(np.nanmax(np.abs(self.values))) + 1e-60
-
-    def system(self, learned: SpectralPrior) -> StateSpace:
-        """The state space of this reading with what was learned."""
-        return StateSpace.of_balance(
-            self.dynamics,
-            learned.shaping,
-            interval=self.interval,
-            noise=learned.noise,
-            input_density=self.input_density,
-            swing=self.swing,
-            colors=() if learned.color is None else learned.color.shapings,
-        )
 
 
 def fit_prior(
@@ -400,58 +282,8 @@ def _shaped(reading: Observation, spectrum: Spectrum, noise_density: float) -> S
     return ShapingFilter.of_spectrum(whole, centre=edge, tolerance=float(np.sqrt(TOLERANCE * BACKGROUND * error)))
 
 
-def generalised_least_squares(filter_: KalmanFilter, readings: Array, columns: Array) -> tuple[Array, Array, float]:
-    """Sizes of known shapes in a record: values (p,), covariance (p, p) and the sum of squares left over [1].
-
-    Raises
-    ------
-    FitError
-        The readings cannot be whitened.
-    """
-    series = whitened(filter_, readings, columns)
-    return least_squares(series[:, 0], series[:, 1:])
-
-
-def whitened(filter_: KalmanFilter, readings: Array, columns: Array) -> Array:
-    """Readings (n,) and known shapes (n, p) as columns that a filter has made white, shape (n, 1 + p) [1].
-
-    Raises
-    ------
-    FitError
-        The readings cannot be whitened.
-    """
-    series = filter_.whiten(np.column_stack([readings, columns]))
-    if not np.isfinite(series).all():
-        raise FitError("the readings cannot be told from their model: they do not change, or their scale is absurd")
-    return series
-
-
-def least_squares(values: Array, shapes: Array) -> tuple[Array, Array, float]:
-    """Sizes (p,) of shapes (n, p) in values (n,), their covariance where values have variance 1, and the squares left.
-
-    Normal equations, solved again for what they leave: that is as exact as a decomposition of the shapes themselves,
-    and takes a tenth of its time. Of shapes that depend on each other only what they tell together has a size.
-    """
-    scale = np.sqrt(np.einsum("np,np->p", shapes, shapes))
-    scale[scale == 0] = 1.0  # a shape that no reading shows: its size stays zero
-    information, vectors = np.linalg.eigh(shapes.T @ shapes / np.outer(scale, scale))
-    kept = information > DEPENDENT**2 * information[-1]
-    spread = vectors[:, kept] / np.sqrt(information[kept]) / scale[:, None]
-    sizes, left = np.zeros(scale.size), values
-    for _ in range(2):
-        sizes = sizes + spread @ (spread.T @ (shapes.T @ left))
-        left = values - shapes @ sizes
-    return sizes, spread @ spread.T, float(left @ left)
-
-
 def _filter(reading: Observation, learned: SpectralPrior) -> KalmanFilter:
     return KalmanFilter.of(reading.system(learned), reading.present)
-
-
-def log_likelihood(reading: Observation, filter_: KalmanFilter, *, columns: Array) -> float:
-    """Logarithm of the likelihood of a filter's innovations, the sizes of the columns at their best."""
-    *_, squares = generalised_least_squares(filter_, reading.filled, columns)
-    return -0.5 * (filter_.log_determinant + squares)
 
 
 def evidence_of_prior(reading: Observation, learned: SpectralPrior, *, columns: Array) -> float:

@@ -15,7 +15,7 @@ from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.correlated_noise import SharedNoise
 from aerobalance.estimation.error_sources import Contribution, Systematic
-from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.result import ComponentForce, budget_of
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.motion.gaps import GAP

@@ -10,7 +10,7 @@ import numpy as np
 
 from aerobalance.estimation.correlated_noise import SharedNoise
 from aerobalance.estimation.error_sources import Contribution, Noise, Systematic
-from aerobalance.estimation.prior import SpectralPrior
+from aerobalance.estimation.observation import SpectralPrior
 from aerobalance.estimation.spectra.lines import Line
 from aerobalance.estimation.steps import Step
 from aerobalance.estimation.sums import ForceSums, SpectrumSums

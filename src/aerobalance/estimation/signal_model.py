@@ -12,17 +12,9 @@ import numpy as np
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.resonance import gain_in_white_noise
 from aerobalance.estimation.force_smoother import instant_columns
-from aerobalance.estimation.prior import (
-    Observation,
-    SpectralPrior,
-    bridged,
-    ends_differ,
-    evenly_weighted,
-    fit_prior,
-    generalised_least_squares,
-    least_squares,
-    log_likelihood,
-)
+from aerobalance.estimation.least_squares import generalised_least_squares, least_squares, log_likelihood
+from aerobalance.estimation.observation import Observation, SpectralPrior
+from aerobalance.estimation.prior import bridged, ends_differ, evenly_weighted, fit_prior
 from aerobalance.estimation.spectra.line_noise import Hum, hum_lines, load_harmonics
 from aerobalance.estimation.spectra.lines import Line
 from aerobalance.estimation.spectra.load_tones import LoadTones, load_tones

@@ -9,7 +9,8 @@ from typing import Final
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 
-from aerobalance.estimation.prior import Observation, generalised_least_squares
+from aerobalance.estimation.least_squares import generalised_least_squares
+from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.step_window import StepWindow
 from aerobalance.estimation.steps import SETTINGS, Step, columns_of, response_to, ringing_time

@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.steps import Step, ringing_time
 from aerobalance.recording.channel import Array

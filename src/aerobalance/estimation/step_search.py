@@ -13,14 +13,9 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.estimation.prior import (
-    Observation,
-    SpectralPrior,
-    fit_prior,
-    generalised_least_squares,
-    log_likelihood,
-    refine_edges,
-)
+from aerobalance.estimation.least_squares import generalised_least_squares, log_likelihood
+from aerobalance.estimation.observation import Observation, SpectralPrior
+from aerobalance.estimation.prior import fit_prior, refine_edges
 from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter

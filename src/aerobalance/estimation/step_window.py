@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.dynamics.modal import Mode
-from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.steps import Step, response_to
 from aerobalance.recording.channel import Array

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from scipy.special import ndtr
 
-from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.spectra.lines import columns_of_lines
 from aerobalance.recording.channel import Array
 from aerobalance.recording.decimation import SPAN, decimation_filter

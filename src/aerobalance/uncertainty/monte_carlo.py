@@ -35,7 +35,7 @@ from aerobalance.estimation.force_smoother import (
     name_of_sizes,
 )
 from aerobalance.estimation.noise_draws import NoiseDraws
-from aerobalance.estimation.prior import Observation, SpectralPrior
+from aerobalance.estimation.observation import Observation, SpectralPrior
 from aerobalance.estimation.record import BalanceRecord, ComponentRecord
 from aerobalance.estimation.result import ComponentForce, budget_of
 from aerobalance.estimation.steps import Step, shape_of

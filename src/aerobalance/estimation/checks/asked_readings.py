@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.dynamics.modal import Mode
-from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.record import FEWEST_SAMPLES, ComponentRecord
 from aerobalance.estimation.spectra.lines import Line, reading_of_lines
 from aerobalance.estimation.spectra.steady_tones import without_tones

@@ -23,7 +23,8 @@ from aerobalance.estimation.checks.narrow_power import interference_assumed
 from aerobalance.estimation.decoupled_record import DecoupledRecord
 from aerobalance.estimation.force_smoother import SmootherResult, instant_columns
 from aerobalance.estimation.independent_record import SingleRecord, moves_along_axis
-from aerobalance.estimation.prior import Observation, generalised_least_squares
+from aerobalance.estimation.least_squares import generalised_least_squares
+from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.record import ComponentRecord, Through
 from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.steps import response_to, shape_of

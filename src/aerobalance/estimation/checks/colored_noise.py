@@ -13,7 +13,8 @@ from typing import Final
 import numpy as np
 
 from aerobalance.estimation.error_sources import Noise
-from aerobalance.estimation.prior import Observation, SpectralPrior, periodogram_of
+from aerobalance.estimation.observation import Observation, SpectralPrior
+from aerobalance.estimation.prior import periodogram_of
 from aerobalance.estimation.signal_model import SignalModel
 from aerobalance.estimation.spectra.noise_spectrum import SLOWEST, NoiseSpectrum
 from aerobalance.recording.channel import Array

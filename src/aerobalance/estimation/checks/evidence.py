@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.dynamics.modal import ModalModel, Mode
-from aerobalance.estimation.prior import SpectralPrior
+from aerobalance.estimation.observation import SpectralPrior
 from aerobalance.estimation.spectra.noise_spectrum import ColoredNoise, ShapedNoise
 from aerobalance.estimation.spectra.periodogram import Periodogram, averages_for
 from aerobalance.estimation.spectra.whittle import SpectrumFit, fit_spectrum, refit_spectrum

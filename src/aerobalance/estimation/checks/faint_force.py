@@ -26,7 +26,8 @@ from typing import Final
 import numpy as np
 
 from aerobalance.estimation.error_sources import Noise
-from aerobalance.estimation.prior import BESIDE_A_GAP, Observation, SpectralPrior, periodogram_of
+from aerobalance.estimation.observation import Observation, SpectralPrior
+from aerobalance.estimation.prior import BESIDE_A_GAP, periodogram_of
 from aerobalance.estimation.spectra.windows import share_seen
 from aerobalance.recording.channel import Array
 from aerobalance.recording.doubts import Doubt

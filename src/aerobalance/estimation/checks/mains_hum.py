@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.estimation.error_sources import Noise
-from aerobalance.estimation.prior import Observation, SpectralPrior
+from aerobalance.estimation.observation import Observation, SpectralPrior
 from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.signal_model import LARGEST_HUM
 from aerobalance.estimation.spectra.line_noise import (

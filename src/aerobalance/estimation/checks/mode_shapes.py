@@ -33,7 +33,7 @@ from aerobalance.estimation.checks.moved_modes import (
 from aerobalance.estimation.checks.resonance import gain_in_white_noise
 from aerobalance.estimation.checks.ringing import RingingSpectra, most_samples
 from aerobalance.estimation.coupled_record import CoupledRecord
-from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.result import ComponentForce, with_errors
 from aerobalance.estimation.spectra.steady_tones import without_tones
 from aerobalance.recording.channel import Array

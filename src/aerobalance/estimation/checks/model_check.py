@@ -27,7 +27,7 @@ from aerobalance.estimation.checks.step_ringing import friction_by_steps
 from aerobalance.estimation.checks.unmeasured_rotation import turning_by_angles
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.independent_record import SingleRecord
-from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.result import ComponentForce, with_doubt, with_errors
 from aerobalance.estimation.spectra.lines import Line

@@ -25,7 +25,7 @@ from aerobalance.estimation.checks.near_resonance import near_resonance
 from aerobalance.estimation.checks.ringing import RingingSpectra, most_samples
 from aerobalance.estimation.checks.spoken import SETTINGS as RESONANCE
 from aerobalance.estimation.coupled_record import CoupledRecord
-from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.record import FEWEST_SAMPLES
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.spectra.steady_tones import without_tones

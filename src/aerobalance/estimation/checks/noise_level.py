@@ -8,13 +8,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.special import gammaincinv
 
-from aerobalance.estimation.prior import (
-    BESIDE_A_GAP,
-    Observation,
-    evidence_of_prior,
-    fit_prior,
-    periodogram_of,
-)
+from aerobalance.estimation.observation import Observation
+from aerobalance.estimation.prior import BESIDE_A_GAP, evidence_of_prior, fit_prior, periodogram_of
 from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.spectra.noise_floor import lasts
 from aerobalance.estimation.spectra.piecewise_psd import WEAKENED

@@ -21,7 +21,7 @@ from scipy.special import expit
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.observation import Observation
 from aerobalance.recording.channel import Array
 from aerobalance.recording.doubts import Doubt
 

@@ -27,7 +27,7 @@ from aerobalance.estimation.checks.resonance import left_open, spoken_for
 from aerobalance.estimation.checks.spoken import Spoken
 from aerobalance.estimation.checks.step_ringing import change_by_steps
 from aerobalance.estimation.independent_record import SingleRecord
-from aerobalance.estimation.prior import Observation, SpectralPrior
+from aerobalance.estimation.observation import Observation, SpectralPrior
 from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.spectra.lines import Line
 from aerobalance.estimation.steps import Step

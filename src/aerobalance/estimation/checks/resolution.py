@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.estimation.error_sources import Noise
-from aerobalance.estimation.prior import Observation, SpectralPrior
+from aerobalance.estimation.observation import Observation, SpectralPrior
 from aerobalance.recording.doubts import Doubt
 
 MATTERS: Final = 1.2

@@ -37,7 +37,7 @@ from aerobalance.estimation.checks.spoken import (
     open_far,
     price_of,
 )
-from aerobalance.estimation.prior import SpectralPrior
+from aerobalance.estimation.observation import SpectralPrior
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array
 

@@ -12,14 +12,9 @@ from numpy.typing import NDArray
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.force_smoother import instant_columns
-from aerobalance.estimation.prior import (
-    Observation,
-    SpectralPrior,
-    fit_prior,
-    generalised_least_squares,
-    least_squares,
-    whitened,
-)
+from aerobalance.estimation.least_squares import generalised_least_squares, least_squares, whitened
+from aerobalance.estimation.observation import Observation, SpectralPrior
+from aerobalance.estimation.prior import fit_prior
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.step_window import free_motions
 from aerobalance.estimation.steps import Step, response_to

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from aerobalance.estimation.force_smoother import SmootherResult
-from aerobalance.estimation.prior import Observation, SpectralPrior, resolved_bandwidth
+from aerobalance.estimation.observation import Observation, SpectralPrior
+from aerobalance.estimation.prior import resolved_bandwidth
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import Doubt

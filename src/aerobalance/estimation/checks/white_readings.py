@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.fft import next_fast_len, rfft
 
 from aerobalance.estimation.checks.ground_witnesses import SETTINGS, SHAPES, ChannelShapes, Witnesses, ramp_of
-from aerobalance.estimation.prior import DEPENDENT, whitened
+from aerobalance.estimation.least_squares import DEPENDENT, whitened
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.recording.channel import Array
 

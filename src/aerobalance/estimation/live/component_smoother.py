@@ -40,7 +40,7 @@ from aerobalance.estimation.live.health import (
 from aerobalance.estimation.live.recent_readings import RecentReadings
 from aerobalance.estimation.live.settings import SmootherSettings
 from aerobalance.estimation.live.steps import STEP_LAGS, Followed, Following, place_step
-from aerobalance.estimation.prior import Observation
+from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, LOAD_RATE
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array

@@ -12,7 +12,7 @@ from scipy.special import gammainccinv, gammaincinv
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.live.filter import strange_square
-from aerobalance.estimation.prior import Observation, SpectralPrior
+from aerobalance.estimation.observation import Observation, SpectralPrior
 from aerobalance.estimation.spectra.periodogram import Spectrum
 from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.estimation.step_search import find_steps

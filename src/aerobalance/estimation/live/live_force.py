@@ -41,7 +41,7 @@ from aerobalance.estimation.live.health import Health, Learning, LiveEstimate, S
 from aerobalance.estimation.live.pending import Pending
 from aerobalance.estimation.live.platform import LiveChannel
 from aerobalance.estimation.live.settings import LiveSettings
-from aerobalance.estimation.prior import SpectralPrior
+from aerobalance.estimation.observation import SpectralPrior
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.channel import Array

@@ -9,7 +9,7 @@ from typing import Final
 from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.estimation.live.health import SHORTEST
 from aerobalance.estimation.live.motion_test import MotionTestSettings
-from aerobalance.estimation.prior import SpectralPrior
+from aerobalance.estimation.observation import SpectralPrior
 
 LAG_PERIODS: Final = 5.0
 """Periods of the natural frequency that the force lags the readings, unless said otherwise."""

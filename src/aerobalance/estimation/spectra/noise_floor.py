@@ -21,11 +21,8 @@ from typing import Final, NamedTuple
 import numpy as np
 from scipy.special import softmax
 
-from aerobalance.estimation.prior import (
-    BESIDE_A_GAP,
-    Observation,
-    periodogram_of,
-)
+from aerobalance.estimation.observation import Observation
+from aerobalance.estimation.prior import BESIDE_A_GAP, periodogram_of
 from aerobalance.estimation.spectra.noise_candidates import (
     DIFFERENT,
     FEWEST_ORDINATES,

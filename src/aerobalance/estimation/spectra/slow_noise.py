@@ -13,7 +13,8 @@ from typing import Final
 import numpy as np
 from scipy.special import expit
 
-from aerobalance.estimation.prior import Observation, SpectralPrior, periodogram_of
+from aerobalance.estimation.observation import Observation, SpectralPrior
+from aerobalance.estimation.prior import periodogram_of
 from aerobalance.estimation.spectra.noise_candidates import standing_out
 from aerobalance.estimation.spectra.noise_ordinates import Ordinates
 from aerobalance.estimation.spectra.noise_record import likeliest_slow
