@@ -25,6 +25,19 @@ pytest_plugins = ["seeds"]
 pytest.register_assert_rewrite("helpers")
 
 
+@pytest.fixture(autouse=True)
+def threads(request: pytest.FixtureRequest) -> Iterator[None]:
+    """One thread for each process of the tests: they have all processors, and a second costs an eighth of the time.
+
+    What is marked so has the threads that a user has, as commands in processes of their own do.
+    """
+    from aerobalance.recording.side_by_side import one_after_the_other
+
+    alone = "PYTEST_XDIST_WORKER" in os.environ and request.node.get_closest_marker("threads") is None
+    with one_after_the_other() if alone else contextlib.nullcontext():
+        yield
+
+
 @pytest.fixture(scope="session")
 def demo_run(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """Folder of the demo and its account, not to be written to; run once for all processes of the tests."""

@@ -18,6 +18,7 @@ from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.linalg import covariance_root
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.side_by_side import one_after_the_other
 from aerobalance.simulation import SixComponentRig
 from aerobalance.simulation.six_balance import CoupledBalance, random_balance
 from aerobalance.simulation.six_components import Release, SixSimulation
@@ -67,6 +68,22 @@ def test_broadband_loads_through_all_resonances_come_back(rng) -> None:
         # values, and their rms scatters by 1 / sqrt(2 * 0.45 top): four of these
         assert error < 1.4 * bound[place] * (1 + 4 / np.sqrt(0.9 * top)), name
         assert error > 0, name
+
+
+@pytest.mark.threads
+def test_two_threads_find_what_one_finds(rng) -> None:
+    """Number for number, and in the same words: no answer hangs on which component is done first."""
+    balance, dynamics = _drawn(rng)
+    run = _broadband(balance, rng)[0].recording
+    together = estimate_force(run, dynamics)
+    with one_after_the_other():
+        alone = estimate_force(run, dynamics)
+    for name, one in alone.items():
+        np.testing.assert_array_equal(one.values, together[name].values)
+        np.testing.assert_array_equal(one.uncertainty, together[name].uncertainty)
+        assert one.budget == together[name].budget
+    assert alone.doubts == together.doubts
+    assert alone.assumed == together.assumed
 
 
 def test_a_release_is_a_step_of_the_components_that_it_pulls(rng) -> None:

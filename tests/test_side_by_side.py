@@ -8,7 +8,9 @@ import warnings
 import pytest
 
 from aerobalance.recording.errors import DataQualityWarning, warn_quality
-from aerobalance.recording.side_by_side import WORKERS, both, side_by_side
+from aerobalance.recording.side_by_side import WORKERS, both, one_after_the_other, side_by_side
+
+pytestmark = pytest.mark.threads
 
 
 def test_results_and_warnings_are_in_order_whichever_is_done_first() -> None:
@@ -48,3 +50,9 @@ def test_the_first_fault_is_raised() -> None:
 
 def test_two_pieces_of_work_give_what_each_gives() -> None:
     assert both(lambda: "one", lambda: 2) == ("one", 2)
+
+
+def test_of_several_processes_each_has_one_thread() -> None:
+    with one_after_the_other():
+        assert side_by_side(lambda _: threading.current_thread(), range(3)) == [threading.current_thread()] * 3
+    assert threading.current_thread() not in side_by_side(lambda _: threading.current_thread(), range(3))

@@ -34,11 +34,13 @@ from helpers.cable_cut import T128
 from helpers.coupled_pair import SIZE, band, pair
 from seeds import seed_from, trials
 
+pytestmark = pytest.mark.threads  # pieces of a record are read and worked out by two
+
 RATE, SAMPLES, NOISE = 12_800.0, 80_003, 2.0
 FACTOR = 16
 """How much slower the clock is: of 800 Hz the filter leaves 260 Hz as they are, 2.5 times 66 Hz and more."""
 
-SHORT = Division(readings=1 << 13)
+SHORT = Division(readings=1 << 13, decimated=(0.5, 8.0))
 """Parts of 4096 samples of the slower clock, which take 65536 of the record: two of them here."""
 
 STEPS = ((1.2345678, 400.0, 0.0), (4.4800012, -250.0, 0.0))
