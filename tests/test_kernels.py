@@ -191,12 +191,47 @@ def spectral(kernels: ModuleType, numbers: tuple[np.ndarray, ...]) -> list[np.nd
 
 def likely(kernels: ModuleType) -> list[np.ndarray]:
     """Likelihoods of lines of forces: noise in common whole, where it counts, and with noise of a color."""
-    found, forces, bands = [np.zeros(5) for _ in range(3)], force_lines(kernels), np.array([0, 12, 24, 36, 40])
+    found, forces, bands = [np.zeros(5) for _ in range(4)], force_lines(kernels), np.array([0, 12, 24, 36, 40])
     for share, one in zip((0.0, 1e-3), found[:2], strict=True):
         kernels.likeliest_levels(forces._replace(share=share), bands, 8, 1e-9, one)
     power, search = np.abs(forces.lines) ** 2, spectral_kernels.Search(np.empty(0), np.empty(0), 40, 1e-3, 3.0, 0.01)
     kernels.likeliest_levels_and_noise(forces, power, bands, search, found[2])
-    return found
+    lines, noise, covariance = covariance_lines(forces, bands)
+    kernels.likeliest_covariances(lines, noise, bands, 4, covariance, found[3])
+    return [*found, covariance]
+
+
+def covariance_lines(forces: Any, bands: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lines of forces, (m, n), covariance of their noise, (m, n, n), and covariances to begin with, (b, n, n)."""
+    lines = np.ascontiguousarray(forces.lines.T)
+    noise = np.ascontiguousarray((forces.rows * forces.noise) @ forces.rows.conj().transpose(0, 2, 1))
+    count = np.diff(np.append(bands, len(lines)))[:, None, None]
+    return lines, noise, np.add.reduceat(lines[:, :, None] * lines[:, None, :].conj(), bands) / count
+
+
+def test_covariances_are_those_of_expectation_and_maximisation():
+    """As the method is written down, with an inverse and a determinant of every ordinate [Dempster1977]."""
+    bands = np.array([0, 12, 24, 36, 40])
+    lines, noise, covariance = covariance_lines(force_lines(line_kernels), bands)
+    found, moved = np.empty(5), covariance.copy()
+    line_kernels.likeliest_covariances(lines, noise, bands, 10, moved, found)
+    for band in (0, 1, 3):  # of lines that are noise alone a covariance is the difference of numbers nearly alike
+        first, last = bands[band], bands[band + 1]
+        own, spent = covariance[band], []
+        for _ in range(10):
+            expected, cost = np.zeros_like(own), 0.0
+            for place in range(first, last):
+                line, whole = lines[place], own + noise[place]
+                passed = own @ np.linalg.inv(whole)
+                force = passed @ line
+                expected += np.outer(force, force.conj()) + own - passed @ own
+                cost += np.linalg.slogdet(whole)[1] + float(np.real(line.conj() @ np.linalg.solve(whole, line)))
+            own = expected / (last - first)
+            spent.append(cost)
+        rounding = 10 * float(np.linalg.cond(covariance[band] + noise[first])) * ROUNDING  # of ten rounds
+        assert all(later < earlier + rounding * abs(earlier) for earlier, later in itertools.pairwise(spent))
+        assert found[band] == pytest.approx(-spent[-1], rel=rounding)
+        np.testing.assert_allclose(moved[band], own, rtol=0, atol=rounding * np.abs(own).max())
 
 
 def force_lines(kernels: ModuleType) -> Any:

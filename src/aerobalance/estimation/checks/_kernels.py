@@ -72,7 +72,14 @@ class Scoring(NamedTuple):
     inverse: Complexes
 
 
-@compiled(inner=True)
+@compiled(inner=True, fastmath={"contract"})
+def over(number: complex, real: float) -> complex:
+    """Return a complex number over a real one: by itself the compiler divides by that as by a complex one."""
+    share = 1 / real
+    return complex(number.real * share, number.imag * share)
+
+
+@compiled(inner=True, fastmath={"contract"})
 def begin_band(forces: ForceLines, first: int, last: int, level: Floats, common: Complexes) -> int:
     """Return how many ordinates of a band count, and write what the search for its levels begins with.
 
@@ -107,7 +114,7 @@ def begin_band(forces: ForceLines, first: int, last: int, level: Floats, common:
     return told
 
 
-@compiled(inner=True)
+@compiled(inner=True, fastmath={"contract"})
 def score_levels(level: Floats, forces: ForceLines, first: int, last: int, common: Complexes, room: Scoring) -> float:
     """Return the log-likelihood of lines at some ordinates, and write what scoring needs.
 
@@ -154,7 +161,7 @@ def score_levels(level: Floats, forces: ForceLines, first: int, last: int, commo
                 for c in range(b):
                     left -= root[a, c] * np.conj(root[b, c])
                 if b < a:
-                    root[a, b] = left / root[b, b].real
+                    root[a, b] = over(left, root[b, b].real)
                 else:  # noise of one channel alone in two lines makes them one, but for rounding
                     rest = max(left.real, 1e-12 * density[noisy[a]])
                     root[a, a] = np.sqrt(rest)
@@ -162,7 +169,7 @@ def score_levels(level: Floats, forces: ForceLines, first: int, last: int, commo
             line = forces.lines[noisy[a], place]
             for c in range(a):
                 line -= root[a, c] * white[c]
-            white[a] = line / root[a, a].real
+            white[a] = over(line, root[a, a].real)
             found -= white[a].real ** 2 + white[a].imag ** 2
             inverse[a, a] = 1 / root[a, a].real
             for b in range(a):
@@ -316,7 +323,7 @@ class JointScoring(NamedTuple):
     parts: Complexes
 
 
-@compiled(inner=True)
+@compiled(inner=True, fastmath={"contract"})
 def score_levels_and_noise(
     level: Floats, forces: ForceLines, first: int, last: int, common: Complexes, room: JointScoring
 ) -> float:
@@ -352,7 +359,7 @@ def score_levels_and_noise(
                 for c in range(b):
                     left -= root[a, c] * np.conj(root[b, c])
                 if b < a:
-                    root[a, b] = left / root[b, b].real
+                    root[a, b] = over(left, root[b, b].real)
                 else:
                     rest = max(left.real, 1e-12 * own)  # as of `score_levels`
                     root[a, a] = np.sqrt(rest)
@@ -360,7 +367,7 @@ def score_levels_and_noise(
             line = forces.lines[a, place]
             for c in range(a):
                 line -= root[a, c] * white[c]
-            white[a] = line / root[a, a].real
+            white[a] = over(line, root[a, a].real)
             found -= white[a].real ** 2 + white[a].imag ** 2
         for i in range(2 * count):
             begin = i if i < count else 0  # a force is in its own line and, whitened, in those after it
@@ -371,7 +378,7 @@ def score_levels_and_noise(
                     left = rows[a, i - count]
                 for c in range(begin, a):
                     left -= root[a, c] * parts[i, c]
-                parts[i, a] = left / root[a, a].real
+                parts[i, a] = over(left, root[a, a].real)
                 line += np.conj(parts[i, a]) * white[a]
             slope[i] += line.real**2 + line.imag**2
             for j in range(i + 1):
@@ -453,3 +460,76 @@ def likeliest_levels_and_noise(
             for i in range(size):
                 level[i] = best[i] * np.exp(min(max(step[i], -search.longest), search.longest))
         found[band] = most
+
+
+@compiled(nogil=True, error_model="numpy", fastmath={"contract"})
+def likeliest_covariances(
+    lines: Complexes, noise: Complexes, bands: Integers, rounds: int, covariance: Complexes, found: Floats
+) -> None:
+    """Write the log-likelihood of lines in every band, the covariance of their forces there at its likeliest.
+
+    By expectation and maximisation. With W the inverse of the covariance C + N of a line z, its force is expected to
+    be z - N W z, give or take a covariance of N - N W N. Both are C W z and C - C W C as well: where one strong load
+    is in all forces, these would be small differences of large numbers.
+
+    Parameters
+    ----------
+    lines
+        The lines, shape (m, n).
+    noise
+        Covariance of their noise, N, shape (m, n, n).
+    bands
+        First ordinate of every band, shape (b,).
+    rounds
+        Rounds of the search.
+    covariance
+        The covariances of the forces, C, that the search begins with, which are moved, shape (b, n, n).
+    found
+        The log-likelihoods before the last move, shape (b,).
+    """
+    ordinates, count = lines.shape
+    root, white = np.empty((count, count), np.complex128), np.empty(count, np.complex128)
+    taken, moved = np.empty((count, count), np.complex128), np.empty((count, count), np.complex128)
+    force = np.empty(count, np.complex128)
+    for band in range(bands.size):
+        first, last = bands[band], bands[band + 1] if band + 1 < bands.size else ordinates
+        own = covariance[band]
+        for _ in range(rounds):
+            found[band] = 0.0
+            moved[:] = 0.0
+            for place in range(first, last):
+                for a in range(count):  # root of C + N, and by it the line, N and N W N
+                    for b in range(a + 1):
+                        left = own[a, b] + noise[place, a, b]
+                        whole = left.real
+                        for c in range(b):
+                            left -= root[a, c] * np.conj(root[b, c])
+                        if b < a:
+                            root[a, b] = over(left, root[b, b].real)
+                        else:
+                            rest = max(left.real, 1e-15 * whole)
+                            root[a, a] = np.sqrt(rest)
+                            found[band] -= np.log(rest)
+                    line = lines[place, a]
+                    for c in range(a):
+                        line -= root[a, c] * white[c]
+                    white[a] = over(line, root[a, a].real)
+                    found[band] -= white[a].real ** 2 + white[a].imag ** 2
+                    for b in range(count):
+                        left = noise[place, a, b]
+                        for c in range(a):
+                            left -= root[a, c] * taken[c, b]
+                        taken[a, b] = over(left, root[a, a].real)
+                for a in range(count):
+                    force[a] = lines[place, a]
+                    for c in range(count):
+                        force[a] -= np.conj(taken[c, a]) * white[c]
+                    for b in range(a + 1):
+                        both = force[a] * np.conj(force[b]) + noise[place, a, b]
+                        for c in range(count):
+                            both -= np.conj(taken[c, a]) * taken[c, b]
+                        moved[a, b] += both
+            for a in range(count):
+                for b in range(a + 1):
+                    own[a, b] = over(moved[a, b], float(last - first))
+                    own[b, a] = np.conj(own[a, b])

@@ -28,7 +28,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.estimation.checks._kernels import ForceLines, likeliest_levels, likeliest_levels_and_noise
+from aerobalance.estimation.checks._kernels import (
+    ForceLines,
+    likeliest_covariances,
+    likeliest_levels,
+    likeliest_levels_and_noise,
+)
 from aerobalance.estimation.checks.channel_rows import Rows, powers_of, product_of_modes
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.result import ComponentForce
@@ -310,23 +315,16 @@ class RingingSpectra:
         noise = np.einsum("mij,j,mkj->mik", whole, self.noise, whole.conj(), optimize=True)
         noise /= root[:, :, None] * root[:, None, :]
         number = widths[:, None, None]
-        covariance = np.add.reduceat(lines[:, :, None] * lines[:, None, :].conj(), bands) / number
+        products = np.add.reduceat(lines[:, :, None] * lines[:, None, :].conj(), bands)
+        covariance = np.asarray(products / number, dtype=np.complex128)
         # forces and moments in units that are alike
         size = np.sqrt(np.einsum("bii->i", covariance).real + 1e-300)
         lines, noise = lines / size, noise / np.outer(size, size)
         covariance /= np.outer(size, size)
-        whole_of = np.empty_like(noise)
-        for _ in range(SETTINGS.rounds):
-            forces = np.repeat(covariance, widths, axis=0)
-            whole_of = np.linalg.inv(forces + noise)
-            passed = forces @ whole_of
-            likeliest = (passed @ lines[..., None])[..., 0]
-            found = likeliest[:, :, None] * likeliest[:, None, :].conj() + forces - passed @ forces
-            covariance = np.add.reduceat(found, bands) / number
-        spent = np.einsum("mi,mij,mj->m", lines.conj(), whole_of, lines, optimize=True).real
-        spent -= np.linalg.slogdet(whole_of)[1]
-        spent += 2 * float(np.sum(np.log(size))) + np.log(gain).sum(axis=1)
-        return np.asarray(-np.add.reduceat(spent, bands))
+        found = np.empty(bands.size)
+        lines, noise = np.ascontiguousarray(lines), np.ascontiguousarray(noise)
+        likeliest_covariances(lines, noise, bands, SETTINGS.rounds, covariance, found)
+        return found - 2 * widths * float(np.sum(np.log(size))) - np.add.reduceat(np.log(gain).sum(axis=1), bands)
 
     def evidence(self, rows: Rows, *, determinant: Array | None = None) -> Array:
         """Logarithm of the likelihood in every band of loads of any kind, shape (bands,).
