@@ -201,14 +201,15 @@ def _krylov(response: Array, tolerance: float) -> tuple[Array, Array, Array]:
     memory = SHORTEST
     while memory < MEMORY and after[2 * memory] > CUT * limit:
         memory *= 2
-    # a Hankel matrix of 2 m - 1 samples is part of a circulant of size 2 m
-    spectrum = rfft(np.append(response[1 : 2 * memory], 0.0))
+    # a Hankel matrix of 2 m - 1 samples is part of a circulant of size 2 m; NumPy's transforms of so few samples take
+    # two thirds of the time of SciPy's
+    spectrum = np.fft.rfft(np.append(response[1 : 2 * memory], 0.0))
     most = STATES + BEYOND
     basis = np.zeros((most, memory))
     basis[0, 0] = 1.0
     diagonal, beside = np.zeros(most), np.zeros(most)
     for last in range(most):
-        row = irfft(spectrum * rfft(basis[last, ::-1], 2 * memory))[memory - 1 : 2 * memory - 1]
+        row = np.fft.irfft(spectrum * np.fft.rfft(basis[last, ::-1], 2 * memory))[memory - 1 : 2 * memory - 1]
         diagonal[last] = np.sum(basis[last] * row)
         row -= diagonal[last] * basis[last]
         if last:
