@@ -253,9 +253,9 @@ def _weigh(k: int, last: int, count: int, model: Model, history: History, fixed:
 @compiled(fastmath={"reassoc", "nsz", "contract"}, inner=True)
 def _weighted_sum(weight: Floats, v: Floats, series: int, k: int, count: int) -> float:
     """Return the sum of the innovations of a series from sample k on, with their weights."""
-    total = 0.0
-    for j in range(count):
-        total += weight[j] * v[series, k + j]
+    total, own = 0.0, v[series, k : k + count]  # a number that may be below zero keeps the compiler from vectors
+    for j in range(own.size):
+        total += weight[j] * own[j]
     return total
 
 
@@ -377,28 +377,28 @@ def advance(
     return stop, NOTHING
 
 
-@compiled(fastmath={"reassoc", "nsz", "contract"}, inner=True)
+@compiled(fastmath={"reassoc", "nsz", "contract", "nnan"}, inner=True)
 def _scan_instants(
     score: Floats, response: Floats, inverse: Floats, u: float, begin: int, stop: int, offset: int, newest: int
 ) -> float:
     """Add a residual to the scores of instants; return the largest gain in likelihood but for the newest instants."""
+    scores = score[begin:stop]  # a number that may be below zero keeps the compiler from vectors
+    responses, inverses = response[begin + offset : stop + offset], inverse[begin + offset : stop + offset]
+    for n in range(scores.size):
+        scores[n] += u * responses[n]
     best = 0.0
-    for n in range(begin, stop):
-        score[n] += u * response[n + offset]
-    for n in range(begin, stop - newest):
-        gain = score[n] * score[n] * inverse[n + offset]
-        best = gain if gain > best else best
+    for n in range(scores.size - newest):
+        best = max(best, scores[n] * scores[n] * inverses[n])
     return best
 
 
-@compiled(fastmath={"reassoc", "nsz", "contract"}, inner=True)
+@compiled(fastmath={"reassoc", "nsz", "contract", "nnan"}, inner=True)
 def _squares(residual: Floats, begin: int, stop: int) -> tuple[float, float]:
     """Return the sum of squares, and the largest of them."""
-    total, largest = 0.0, 0.0
-    for n in range(begin, stop):
-        square = residual[n] * residual[n]
-        total += square
-        largest = square if square > largest else largest
+    total, largest, own = 0.0, 0.0, residual[begin:stop]
+    for n in range(own.size):
+        total += own[n] * own[n]
+        largest = max(largest, own[n] * own[n])
     return total, largest
 
 
