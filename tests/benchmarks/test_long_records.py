@@ -26,7 +26,7 @@ LARGEST = 500.0
 
 CHANNELS, COMPONENTS, RATE = 12, 6, 25_000.0
 SECONDS = (24.0, 60.0)
-"""Lengths of the two records: two parts and three."""
+"""Lengths of the two records: two parts and four."""
 
 
 PROGRAM = """
