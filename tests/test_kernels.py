@@ -234,6 +234,22 @@ def test_covariances_are_those_of_expectation_and_maximisation():
         np.testing.assert_allclose(moved[band], own, rtol=0, atol=rounding * np.abs(own).max())
 
 
+def test_a_covariance_of_one_strong_load_stays_one():
+    """1e4 times the noise in all lines, as of a release: no level is below zero, and each round is likelier."""
+    rng = np.random.default_rng(8)
+    load = 1e4 * (rng.normal(size=(40, 1)) + 1j * rng.normal(size=(40, 1)))
+    lines = load @ rng.normal(size=(1, 6)) + rng.normal(size=(40, 6)) + 1j * rng.normal(size=(40, 6))
+    noise, bands = np.tile(2 * np.eye(6, dtype=complex), (40, 1, 1)), np.array([0])
+    begun, found = (lines.T @ lines.conj() / 40)[None], []
+    for rounds in range(1, 11):
+        covariance, one = begun.copy(), np.empty(1)
+        line_kernels.likeliest_covariances(lines, noise, bands, rounds, covariance, one)
+        level = np.linalg.eigvalsh(covariance[0])
+        assert level[0] > -6 * ROUNDING * level[-1]
+        found.append(float(one[0]))
+    assert all(later > earlier for earlier, later in itertools.pairwise(found))
+
+
 def force_lines(kernels: ModuleType) -> Any:
     """Lines of three forces in five bands: noise in common hides two, one or all of them; the last is not told."""
     rng = np.random.default_rng(6)
