@@ -27,7 +27,7 @@ pytest.register_assert_rewrite("helpers")
 
 @pytest.fixture(autouse=True)
 def threads(request: pytest.FixtureRequest) -> Iterator[None]:
-    """One thread for each process of the tests: they have all processors, and a second costs an eighth of the time.
+    """One thread for each process of the tests: they have all processors, and a second costs a tenth of the time.
 
     What is marked so has the threads that a user has, as commands in processes of their own do.
     """
