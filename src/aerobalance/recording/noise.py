@@ -27,6 +27,15 @@ ROUNDING: Final = 1e-9
 ENOUGH: Final = 1 << 15
 """Readings, in the middle of a longer record, from which its noise is judged: they tell it to one percent."""
 
+ORDER: Final = 4
+"""Order of the differences by which the correlation of two channels' noise is judged."""
+
+STANDS_OUT: Final = 9.0 * 1.4826
+"""Difference over the median of their magnitudes above which it is no noise: nine standard deviations."""
+
+FEW: Final = 0.1
+"""Share of such differences, with those beside them, up to which they are left out."""
+
 FEWEST: Final = 64
 """Readings below which the correlation of two channels' noise cannot be told."""
 
@@ -121,7 +130,7 @@ def noise_correlation(filled: Array) -> Array:
     if filled.shape[0] < FEWEST:
         return np.eye(filled.shape[1])
     # along rows, as memory has them, and of a long record of a length that is quick to transform
-    changes = np.diff(np.ascontiguousarray(_middle(filled, ENOUGH + 4).T), 4)
+    changes = _without_wild(np.diff(np.ascontiguousarray(_middle(filled, ENOUGH + ORDER).T), ORDER))
     spectrum = np.asarray(rfft(changes), dtype=np.complex128)
     upper = spectrum[:, spectrum.shape[1] // 2 :]
     power = np.real(upper.conj() @ upper.T)
@@ -131,6 +140,20 @@ def noise_correlation(filled: Array) -> Array:
     correlation[np.abs(correlation) < 4 / np.sqrt(upper.shape[1])] = 0.0
     np.fill_diagonal(correlation, 1.0)
     return correlation
+
+
+def _without_wild(changes: Array) -> Array:
+    """Differences of n channels, shape (n, m), with 0 for those about single readings that stand out, if few.
+
+    One wild reading of a bridge is in all loads: some of them would make the noise of the loads look like one noise.
+    """
+    size = np.abs(changes)
+    out = (size > STANDS_OUT * np.median(size, axis=1, keepdims=True)).any(axis=0)
+    if not out.any():
+        return changes
+    # next to the largest differences are smaller ones of the same reading
+    about = np.convolve(out, np.ones(ORDER + 1), "same") > 0
+    return changes if np.mean(about) > FEW else np.where(about, 0.0, changes)
 
 
 def _middle(values: Array, length: int = ENOUGH) -> Array:
