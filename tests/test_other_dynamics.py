@@ -700,10 +700,12 @@ def test_steps_soon_after_the_begin_are_not_taken_for_its_free_oscillation(count
     assert np.sqrt(np.mean(left**2)) == pytest.approx(noise, rel=5 / np.sqrt(2 * time.size))
 
 
-def test_a_step_that_has_not_begun_to_ring_tells_nothing(rng):
+@pytest.mark.parametrize("instant", [999.5, 998.99])
+def test_a_step_that_has_not_begun_to_ring_tells_nothing(instant, rng):
+    """No reading after it, or one that has hardly moved: either way no natural frequency is told."""
     reading = Observation(rng.normal(0, 2, 1000), 1 / RATE, T128)
     learned = fit_prior(reading, columns=np.ones((1000, 1)))
-    change = change_by_steps(reading, [Step(999.5 / RATE, 0.0, 500.0)], learned)
+    change = change_by_steps(reading, [Step(instant / RATE, 0.0, 500.0)], learned)
     assert change.gain == 0
     assert not change.change.any()
 

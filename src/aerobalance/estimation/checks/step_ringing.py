@@ -115,7 +115,8 @@ def change_by_steps(reading: Observation, steps: Sequence[Step], learned: Spectr
         sizes, whole, _ = least_squares(white[:, 0], white[:, 1:])
         if as_known == np.inf:
             as_known = least_squares(white[:, 0], white[:, 1:-2])[2]
-        if not (np.diag(whole)[-2:] > 0).all():  # the steps are so near the end that none has begun to ring
+        known = np.diag(whole)[-2:]
+        if not (known > 0).all() or known[0] > 1.0:  # the steps are so near the end that none has begun to ring
             return ChangeBySteps(np.zeros(2), np.diag([1.0, SETTINGS.usual**2]), 0.0)
         heights, covariance = sizes[1 : 1 + count], whole[-2:, -2:]
         weight = np.linalg.inv(covariance)
