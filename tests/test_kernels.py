@@ -18,7 +18,7 @@ from scipy.optimize import minimize
 
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.checks import _kernels as line_kernels
+from aerobalance.estimation.checks import _covariance_kernels, _level_kernels, _root_kernels
 from aerobalance.estimation.live import _live_kernels
 from aerobalance.estimation.live.filter import KnownShape, LiveFilter
 from aerobalance.estimation.spectra import _kernels as spectral_kernels
@@ -32,12 +32,14 @@ NOISE = 200.0
 INTERVAL = 1 / 1600
 LAG = 32
 ROUNDING = np.finfo(np.float64).eps
+LINES = (_root_kernels, _level_kernels, _covariance_kernels)
+"""Kernels of spectral lines of forces, what is called by others first."""
 
 
 @pytest.fixture(scope="module")
 def plain() -> Iterator[tuple[ModuleType, ...]]:
-    """The four modules of kernels as they are without compilation."""
-    names = (_kernels.__name__, _live_kernels.__name__, spectral_kernels.__name__, line_kernels.__name__)
+    """The modules of kernels as they are without compilation."""
+    names = [module.__name__ for module in (_kernels, _live_kernels, spectral_kernels, *LINES)]
     compiled = {name: sys.modules.pop(name) for name in names}
     before, numba.config.DISABLE_JIT = numba.config.DISABLE_JIT, 1
     try:
@@ -189,15 +191,15 @@ def spectral(kernels: ModuleType, numbers: tuple[np.ndarray, ...]) -> list[np.nd
     return [total, moved, path, *edges, cost, lowered]
 
 
-def likely(kernels: ModuleType) -> list[np.ndarray]:
+def likely(levels: ModuleType, covariances: ModuleType) -> list[np.ndarray]:
     """Likelihoods of lines of forces: noise in common whole, where it counts, and with noise of a color."""
-    found, forces, bands = [np.zeros(5) for _ in range(4)], force_lines(kernels), np.array([0, 12, 24, 36, 40])
+    found, forces, bands = [np.zeros(5) for _ in range(4)], force_lines(levels), np.array([0, 12, 24, 36, 40])
     for share, one in zip((0.0, 1e-3), found[:2], strict=True):
-        kernels.likeliest_levels(forces._replace(share=share), bands, 8, 1e-9, one)
+        levels.likeliest_levels(forces._replace(share=share), bands, 8, 1e-9, one)
     power, search = np.abs(forces.lines) ** 2, spectral_kernels.Search(np.empty(0), np.empty(0), 40, 1e-3, 3.0, 0.01)
-    kernels.likeliest_levels_and_noise(forces, power, bands, search, found[2])
+    levels.likeliest_levels_and_noise(forces, power, bands, search, found[2])
     lines, noise, covariance = covariance_lines(forces, bands)
-    kernels.likeliest_covariances(lines, noise, bands, 4, covariance, found[3])
+    covariances.likeliest_covariances(lines, noise, bands, 4, covariance, found[3])
     return [*found, covariance]
 
 
@@ -212,9 +214,9 @@ def covariance_lines(forces: Any, bands: np.ndarray) -> tuple[np.ndarray, np.nda
 def test_covariances_are_those_of_expectation_and_maximisation():
     """As the method is written down, with an inverse and a determinant of every ordinate [Dempster1977]."""
     bands = np.array([0, 12, 24, 36, 40])
-    lines, noise, covariance = covariance_lines(force_lines(line_kernels), bands)
+    lines, noise, covariance = covariance_lines(force_lines(_level_kernels), bands)
     found, moved = np.empty(5), covariance.copy()
-    line_kernels.likeliest_covariances(lines, noise, bands, 10, moved, found)
+    _covariance_kernels.likeliest_covariances(lines, noise, bands, 10, moved, found)
     for band in (0, 1, 3):  # of lines that are noise alone a covariance is the difference of numbers nearly alike
         first, last = bands[band], bands[band + 1]
         own, spent = covariance[band], []
@@ -243,7 +245,7 @@ def test_a_covariance_of_one_strong_load_stays_one():
     begun, found = (lines.T @ lines.conj() / 40)[None], []
     for rounds in range(1, 11):
         covariance, one = begun.copy(), np.empty(1)
-        line_kernels.likeliest_covariances(lines, noise, bands, rounds, covariance, one)
+        _covariance_kernels.likeliest_covariances(lines, noise, bands, rounds, covariance, one)
         level = np.linalg.eigvalsh(covariance[0])
         assert level[0] > -6 * ROUNDING * level[-1]
         found.append(float(one[0]))
@@ -273,15 +275,15 @@ def test_levels_of_forces_are_the_likeliest(colored, rng):
     The lines' covariance is diag(gain * level) + W (R + E) W^H, E zero or as likely as it can be as well. Of one band
     less than 1e-6 is left to gain, or with E 0.05: where levels go to zero the library ends 0.02 beside.
     """
-    forces, bands = force_lines(line_kernels), [0, 12, 24, 36, 40]
+    forces, bands = force_lines(_level_kernels), [0, 12, 24, 36, 40]
     found = np.zeros(5)
     if colored:
         channels = np.linalg.solve(forces.rows, forces.lines.T[..., None])[..., 0].T
         search = spectral_kernels.Search(np.empty(0), np.empty(0), 300, 1e-6, 3.0, 0.01)
         power = np.ascontiguousarray(np.abs(channels) ** 2)
-        line_kernels.likeliest_levels_and_noise(forces, power, np.array(bands), search, found)
+        _level_kernels.likeliest_levels_and_noise(forces, power, np.array(bands), search, found)
     else:
-        line_kernels.likeliest_levels(forces, np.array(bands), 30, 1e-9, found)
+        _level_kernels.likeliest_levels(forces, np.array(bands), 30, 1e-9, found)
 
     def lost(logarithms: np.ndarray, places: np.ndarray) -> float:
         rows, lines = forces.rows[places], forces.lines[:, places].T
@@ -320,9 +322,10 @@ def test_compiled_and_plain_kernels_of_spectra_agree(rng, plain):
     """
     numbers = rng.exponential(size=(30, 6)), np.cumsum(rng.normal(0, 0.2, 80)), rng.normal(size=(8, 5))
     numbers += (rng.normal(size=(7, 40)),)
-    lines = Lines(plain[2], plain[3])
-    interpreted = lines.of(lambda: spectral(plain[2], numbers) + likely(plain[3]))
-    for one, other in zip(spectral(spectral_kernels, numbers) + likely(line_kernels), interpreted, strict=True):
+    lines = Lines(*plain[2:])
+    interpreted = lines.of(lambda: spectral(plain[2], numbers) + likely(*plain[4:]))
+    compiled = spectral(spectral_kernels, numbers) + likely(*LINES[1:])
+    for one, other in zip(compiled, interpreted, strict=True):
         roundings = 100 * 40 * STEPS * 5 / DAMPING
         np.testing.assert_allclose(one, other, rtol=0, atol=roundings * ROUNDING * np.max(np.abs(one)))
     assert not lines.missed

@@ -7,7 +7,7 @@ import numpy as np
 from aerobalance.app.monitor.engine import warm_up
 from aerobalance.balance.inversion import inverted
 from aerobalance.dynamics._kernels import add_mode, first_order
-from aerobalance.estimation.checks._kernels import ForceLines, likeliest_levels, likeliest_levels_and_noise
+from aerobalance.estimation.checks._level_kernels import ForceLines, likeliest_levels, likeliest_levels_and_noise
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.spectra._kernels import Search
 from aerobalance.simulation.cable_cut import CableCut

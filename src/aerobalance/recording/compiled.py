@@ -32,7 +32,9 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 SOURCES: Final = (
     "balance/_term_kernels.py",
     "dynamics/_kernels.py",
-    "estimation/checks/_kernels.py",
+    "estimation/checks/_covariance_kernels.py",
+    "estimation/checks/_level_kernels.py",
+    "estimation/checks/_root_kernels.py",
     "estimation/live/_live_kernels.py",
     "estimation/spectra/_kernels.py",
     "estimation/statespace/_kernels.py",

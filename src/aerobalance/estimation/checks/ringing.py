@@ -28,12 +28,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.estimation.checks._kernels import (
-    ForceLines,
-    likeliest_covariances,
-    likeliest_levels,
-    likeliest_levels_and_noise,
-)
+from aerobalance.estimation.checks._covariance_kernels import likeliest_covariances
+from aerobalance.estimation.checks._level_kernels import ForceLines, likeliest_levels, likeliest_levels_and_noise
 from aerobalance.estimation.checks.channel_rows import Rows, powers_of, product_of_modes
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.result import ComponentForce

@@ -1,4 +1,4 @@
-"""Compiled loops of the likelihood of spectral lines of forces: nothing is checked."""
+"""Compiled loops for the likeliest levels of forces, by their spectral lines: nothing is checked."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.estimation.checks._root_kernels import add_to_root, over, whiten
 from aerobalance.estimation.spectra._kernels import Search, solve_by_root
 from aerobalance.recording.compiled import compiled
 
@@ -70,71 +71,6 @@ class Scoring(NamedTuple):
     white: Complexes
     root: Complexes
     inverse: Complexes
-
-
-@compiled(inner=True, fastmath={"contract"})
-def over(number: complex, real: float) -> complex:
-    """Return a complex number over a real one: by itself the compiler divides by that as by a complex one."""
-    share = 1 / real
-    return complex(number.real * share, number.imag * share)
-
-
-# Written into its callers, as `whiten` is: calls would add a quarter to the time of two lines.
-@compiled(inner=True, inline="always", fastmath={"contract"})
-def add_to_root(left: complex, a: int, b: int, least: float, root: Complexes, found: float) -> float:
-    """Return a log-likelihood less what an element of a covariance adds to the logarithm of its determinant.
-
-    That is nothing but for the diagonal. The element of the Cholesky root is written; all of the rows before it, and
-    those before it in its row, are written already.
-
-    Parameters
-    ----------
-    left
-        The element of the covariance, in its lower half.
-    a, b
-        Its row and its column.
-    least
-        Least variance of a line that those before it leave, over all of its variance: noise of one channel alone in
-        two lines makes them one, but for rounding.
-    root
-        The root, its lower half, shape (n, n).
-    found
-        The log-likelihood before.
-    """
-    own = left.real
-    for c in range(b):
-        left -= root[a, c] * np.conj(root[b, c])
-    if b < a:
-        root[a, b] = over(left, root[b, b].real)
-    else:
-        rest = max(left.real, least * own)
-        root[a, a] = np.sqrt(rest)
-        found -= np.log(rest)
-    return found
-
-
-@compiled(inner=True, inline="always", fastmath={"contract"})
-def whiten(line: complex, a: int, root: Complexes, white: Complexes, found: float) -> float:
-    """Return a log-likelihood less the squared magnitude of a whitened line, which is written.
-
-    Parameters
-    ----------
-    line
-        The line.
-    a
-        Its place among all; those before it are whitened already.
-    root
-        Cholesky root of their covariance, its lower half, shape (n, n).
-    white
-        The whitened lines, shape (n,).
-    found
-        The log-likelihood before.
-    """
-    for c in range(a):
-        line -= root[a, c] * white[c]
-    white[a] = over(line, root[a, a].real)
-    found -= white[a].real ** 2 + white[a].imag ** 2
-    return found
 
 
 @compiled(inner=True, fastmath={"contract"})
@@ -494,64 +430,3 @@ def likeliest_levels_and_noise(
             for i in range(size):
                 level[i] = best[i] * np.exp(min(max(step[i], -search.longest), search.longest))
         found[band] = most
-
-
-@compiled(nogil=True, error_model="numpy", fastmath={"contract"})
-def likeliest_covariances(
-    lines: Complexes, noise: Complexes, bands: Integers, rounds: int, covariance: Complexes, found: Floats
-) -> None:
-    """Write the log-likelihood of lines in every band, the covariance of their forces there at its likeliest.
-
-    By expectation and maximisation. With W the inverse of the covariance C + N of a line z, its force is expected to
-    be z - N W z, give or take a covariance of N - N W N. Both are C W z and C - C W C as well: where one strong load
-    is in all forces, these would be small differences of large numbers.
-
-    Parameters
-    ----------
-    lines
-        The lines, shape (m, n).
-    noise
-        Covariance of their noise, N, shape (m, n, n).
-    bands
-        First ordinate of every band, shape (b,).
-    rounds
-        Rounds of the search.
-    covariance
-        The covariances of the forces, C, that the search begins with, which are moved, shape (b, n, n).
-    found
-        The log-likelihoods before the last move, shape (b,).
-    """
-    ordinates, count = lines.shape
-    root, white = np.empty((count, count), np.complex128), np.empty(count, np.complex128)
-    taken, moved = np.empty((count, count), np.complex128), np.empty((count, count), np.complex128)
-    force = np.empty(count, np.complex128)
-    for band in range(bands.size):
-        first, last = bands[band], bands[band + 1] if band + 1 < bands.size else ordinates
-        own = covariance[band]
-        for _ in range(rounds):
-            now = 0.0
-            moved[:] = 0.0
-            for place in range(first, last):
-                for a in range(count):  # root of C + N, and by it the line, N and N W N
-                    for b in range(a + 1):
-                        now = add_to_root(own[a, b] + noise[place, a, b], a, b, 1e-15, root, now)
-                    now = whiten(lines[place, a], a, root, white, now)
-                    for b in range(count):
-                        left = noise[place, a, b]
-                        for c in range(a):
-                            left -= root[a, c] * taken[c, b]
-                        taken[a, b] = over(left, root[a, a].real)
-                for a in range(count):
-                    force[a] = lines[place, a]
-                    for c in range(count):
-                        force[a] -= np.conj(taken[c, a]) * white[c]
-                    for b in range(a + 1):
-                        both = force[a] * np.conj(force[b]) + noise[place, a, b]
-                        for c in range(count):
-                            both -= np.conj(taken[c, a]) * taken[c, b]
-                        moved[a, b] += both
-            found[band] = now
-            for a in range(count):
-                for b in range(a + 1):
-                    own[a, b] = over(moved[a, b], float(last - first))
-                    own[b, a] = np.conj(own[a, b])
