@@ -8,14 +8,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.linalg import subspace_angles
+from scipy.linalg import circulant, subspace_angles
 
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.ground_alignment import alone
-from aerobalance.estimation.checks.ground_channels import GroundFault, ground_findings, measured
+from aerobalance.estimation.checks.ground_channels import GroundFault, _gains_of_delays, ground_findings, measured
 from aerobalance.estimation.checks.ground_doubts import LEFT_OPEN, _of_the_delay
-from aerobalance.estimation.checks.ground_witnesses import Witness, Witnesses, above_noise
-from aerobalance.estimation.checks.white_readings import Lines, Solved, White
+from aerobalance.estimation.checks.ground_witnesses import SETTINGS, Witness, Witnesses, above_noise
+from aerobalance.estimation.checks.white_readings import Lines, Solved, White, length_of, lines_of
 from aerobalance.estimation.component_force import Fitted
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.recording.channel import Array
@@ -236,6 +236,40 @@ def test_sizes_scatter_as_they_are_said_to(seed):
     # chi-squares of one record are independent of each other but for what the channels have in common
     assert np.mean(found) < 3 + 5 * np.sqrt(6 / len(found))
     assert np.mean(found) > 1
+
+
+def test_gains_of_delays_are_those_of_noise_that_is_out_of_phase(rng):
+    """Noise that one component has a quarter of a period after the other, and at high frequencies before it.
+
+    By generalised least squares in the time domain: with the real covariance K of all samples, a motion m that is
+    moved brings readings w the log-likelihood (m' K^-1 w)^2 / (2 m' K^-1 m). The weights of lines z are by definition
+    the inverse of E[z z^H]; their transpose is that of noise with late and early exchanged.
+    """
+    samples, coherence = 160, 0.8
+    length, most = length_of(samples), int(SETTINGS.reach * samples)
+    count = length // 2 + 1
+    edges = (0, 1, 30, count - 1, count)
+    cross = np.repeat([0.0, -1j * coherence, 1j * coherence, 0.0], np.diff(edges))  # E[z_2 conj(z_1)]
+    late = circulant(np.fft.irfft(cross, length))  # E[x_2(t) x_1(s)] in row t and column s
+    covariance = np.block([[np.eye(length), late.T], [late, np.eye(length)]])
+    weights = [np.linalg.inv([[1.0, np.conj(cross[first])], [cross[first], 1.0]]) for first in edges[:-1]]
+
+    motion, readings = rng.normal(size=(2, samples, 2))
+    white = White((), (), (), lines_of(readings), np.array(weights), edges)
+    found = _gains_of_delays(white, lines_of(motion), lines_of(readings), samples=samples)
+
+    def earlier(series: Array, by: int) -> Array:
+        """All samples of the first component, then those of the second, with zeros between them; so many earlier."""
+        return np.roll(np.pad(series, ((0, length - samples), (0, 0))), -by, axis=0).T.ravel()
+
+    solved = np.linalg.solve(covariance, earlier(readings, 0))
+    square = earlier(motion, 0) @ np.linalg.solve(covariance, earlier(motion, 0))  # of any delay
+    # what a channel reads late was there earlier
+    expected = [(earlier(motion, delay) @ solved) ** 2 / (2 * square) for delay in range(-most, most + 1)]
+    # a gain is at most half the square of the readings, and K is conditioned as the coherence makes it
+    largest = 0.5 * float(earlier(readings, 0) @ solved)
+    roundings = 2 * length * (1 + coherence) / (1 - coherence) * np.finfo(float).eps
+    np.testing.assert_allclose(found, expected, rtol=0, atol=4 * roundings * largest)
 
 
 def case_of(name: str) -> Case:
