@@ -7,6 +7,7 @@ import numpy as np
 from aerobalance.app.monitor.engine import warm_up
 from aerobalance.balance.inversion import inverted
 from aerobalance.dynamics._kernels import add_mode, first_order
+from aerobalance.estimation.checks._covariance_kernels import likeliest_covariances
 from aerobalance.estimation.checks._level_kernels import ForceLines, likeliest_levels, likeliest_levels_and_noise
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.spectra._kernels import Search
@@ -27,6 +28,8 @@ def compile_all() -> None:
     likeliest_levels(levels, np.zeros(1, dtype=np.int64), 1, 0.02, np.empty(1))
     search = Search(np.empty(0), np.empty(0), 1, 0.02, 3.0, 0.01)
     likeliest_levels_and_noise(levels, np.ones((2, 2)), np.zeros(1, dtype=np.int64), search, np.empty(1))
+    noise = np.tile(np.eye(2, dtype=complex), (2, 1, 1))
+    likeliest_covariances(both, noise, np.zeros(1, dtype=np.int64), 1, noise[:1].copy(), np.empty(1))
     terms = np.array([0, 0, 2, 2]), np.array([0, 1, 0, 1]), np.array([0, 1, 0, 1])
     bent = np.array([[1.0, 0.0], [0.0, 1.0], [0.1, 0.0], [0.0, 0.1]])  # y = x + x^2 / 10
     inverted(terms, bent, np.eye(2), np.array([[0.1, 0.1], [50.0, 50.0]]))  # the second by Newton's method
