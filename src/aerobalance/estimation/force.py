@@ -232,7 +232,9 @@ class ForceWork:
         """Forces of a part; wild samples of a record on a slower clock were looked for on its own."""
         slower = self.working.every > 1
         settings = replace(self.settings, keep_outliers=True) if slower else self.settings
-        return _undivided(given, self.dynamics, settings, noise=self.noise, whole=whole)
+        return _undivided(
+            given, self.dynamics, settings, noise=self.noise, whole=whole, known_before=self.working.doubts
+        )
 
 
 def _present(given: Recording | Loads, dynamics: BalanceDynamics) -> tuple[str, ...]:
@@ -255,6 +257,7 @@ def _undivided(
     *,
     noise: Recording | Loads | Mapping[str, NoiseSpectrum] | None,
     whole: bool,
+    known_before: tuple[Doubt, ...] = (),
 ) -> Force:
     """Forces of a run that is worked out at once.
 
@@ -266,6 +269,8 @@ def _undivided(
         As in `force_parts`.
     whole
         Whether all contributions to the uncertainty are kept as they are, and not as few numbers as show.
+    known_before
+        Doubts about readings that were found before it was put on a slower clock.
     """
     if isinstance(given, Recording) and given.from_outputs:
         warn_quality(
@@ -278,6 +283,7 @@ def _undivided(
     if not settings.keep_outliers:
         given, wild = without_wild_samples(given, model.components)
         seen += wild
+    seen += known_before
     record = force_record(given, model, **settings.earth)
     if isinstance(noise, Recording | Loads):
         noise = noise_spectra(noise, record, **settings.earth)

@@ -2,18 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.fft import rfft
 
 from aerobalance.balance.loads import Loads
-from aerobalance.estimation.checks.outliers import without_wild_samples
+from aerobalance.estimation.checks.impossible_channels import is_of_ground
+from aerobalance.estimation.checks.outliers import outliers_of, without_outliers
 from aerobalance.recording.channel import Array
+from aerobalance.recording.decimation import is_short_gap
 from aerobalance.recording.fourier import hann
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.resampling import gaps_in
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,12 +34,15 @@ class LookSettings:
         Samples of a block, and of the segments over which its spectrum is averaged.
     bands
         Number of bands of equal width over which the spectrum is averaged.
+    gaps
+        Gaps of a channel in a piece, at most, for a slower clock: in all, and of those that are not short beside it.
     """
 
     stands_out: tuple[float, float] = (2.0, 1.25)
     block: int = 1 << 14
     segment: int = 1 << 11
     bands: int = 64
+    gaps: tuple[int, int] = (256, 16)
 
 
 SETTINGS: Final = LookSettings()
@@ -43,7 +50,7 @@ SETTINGS: Final = LookSettings()
 
 
 class Levels(NamedTuple):
-    """Spectral density of the blocks of a piece, up to a constant factor.
+    """Spectral density of the blocks of a piece, up to a constant factor; segments that lack a sample are left out.
 
     Attributes
     ----------
@@ -55,6 +62,21 @@ class Levels(NamedTuple):
 
     bands: Array
     resonant: Array
+
+
+class Piece(NamedTuple):
+    """What a piece of a record shows.
+
+    Attributes
+    ----------
+    levels
+        Levels of its loads, by component.
+    gaps
+        Lengths of the gaps of each load and channel of the ground's motion that has some [samples].
+    """
+
+    levels: dict[str, Levels]
+    gaps: tuple[NDArray[np.intp], ...]
 
 
 @dataclass(slots=True, eq=False)
@@ -80,6 +102,7 @@ class Look:
     _power: dict[str, Array] = field(default_factory=dict)
     _least: dict[str, Array] = field(default_factory=dict)
     _blocks: dict[str, int] = field(default_factory=dict)
+    _gaps: tuple[NDArray[np.intp], ...] = ()
 
     @property
     def highest(self) -> float:
@@ -93,37 +116,55 @@ class Look:
         ratios = [
             least * self._blocks[name] / self._noise(self._power[name][None])[0] - 1
             for name, least in self._least.items()
+            if self._blocks[name]
         ]
+        if not ratios:  # all of the record lies in gaps
+            return (0.0,) * len(self.modes)
         return tuple(np.maximum(np.max(ratios, axis=0), 0.0).tolist())
 
-    def levels(self, given: Recording | Loads, components: Sequence[str]) -> dict[str, Levels]:
-        """Return the levels of the loads of a piece, by component.
-
-        Where samples are missing, wild, stuck or clipped, nothing is returned for any component.
-        """
-        recording = given.recording if isinstance(given, Loads) else given
+    def at(self, given: Recording | Loads, components: Sequence[str]) -> Piece:
+        """Return what a piece shows of the loads of some components, its wild, stuck and clipped samples left out."""
+        found = outliers_of(given, components)
+        clean = without_outliers(given, found, components, clipped=True)
+        recording = clean.recording if isinstance(clean, Loads) else clean
         names = [name for name in components if name in recording]
-        whole = all(np.isfinite(channel.values).all() for channel in recording)
-        if not whole or without_wild_samples(given, names)[1]:
-            return {}
-        return {name: self._levels(recording.channel(name).values) for name in names}
+        needed = [one.values for name, one in recording.channels.items() if name in names or is_of_ground(name)]
+        lost = (np.isnan(values) for values in needed)
+        gaps = tuple(np.array([last - first for first, last in gaps_in(gap)]) for gap in lost if gap.any())
+        return Piece({name: self._levels(recording.channel(name).values) for name in names}, gaps)
 
-    def add(self, found: Sequence[Mapping[str, Levels]]) -> bool:
-        """Add the levels of some pieces; return whether all their samples can be taken as they are."""
-        for piece in found:
-            for name, levels in piece.items():
+    def add(self, pieces: Sequence[Piece]) -> None:
+        """Add what some pieces show."""
+        for piece in pieces:
+            self._gaps += piece.gaps
+            for name, levels in piece.levels.items():
                 bands, resonant = levels
                 self._highest = max(self._highest, self._edge(bands, SETTINGS.stands_out[0]))
                 self._power[name] = self._power.get(name, np.zeros(bands.shape[1])) + bands.sum(axis=0)
-                self._least[name] = np.minimum(self._least.get(name, np.inf), resonant.min(axis=0))
+                least = resonant.min(axis=0, initial=np.inf)
+                self._least[name] = np.minimum(self._least.get(name, np.inf), least)
                 self._blocks[name] = self._blocks.get(name, 0) + len(bands)
-        return all(found)
+
+    def gaps_allow(self, factor: int) -> bool:
+        """Whether the gaps of each piece are so few that a clock which is slower by a factor is still less work."""
+        most, most_long = SETTINGS.gaps
+        return all(
+            len(gaps) <= most and sum(not is_short_gap(length, factor) for length in gaps) <= most_long
+            for gaps in self._gaps
+        )
 
     def _levels(self, values: Array) -> Levels:
         """Levels of the readings of one load."""
         segment = min(SETTINGS.segment, values.size)
         count = max(values.size // segment, 1)
         segments = values[: count * segment].reshape(count, segment)
+        whole = np.isfinite(segments).all(axis=1)
+        if not whole.all():
+            segments = segments[whole]
+            count = len(segments)
+            if not count:
+                each = max(segment // 2 // SETTINGS.bands, 1)
+                return Levels(np.zeros((0, segment // 2 // each)), np.zeros((0, len(self.modes))))
         level = segments.mean(axis=1, keepdims=True)
         spectrum = np.asarray(rfft((segments - level) * hann(segment)), dtype=np.complex128)[:, 1:]
         power = spectrum.real**2 + spectrum.imag**2

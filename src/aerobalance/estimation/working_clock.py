@@ -6,8 +6,10 @@ stays white on the slower clock (`aerobalance.recording.decimation`), the load i
 response to a step is filtered as the readings are, so that prior, likelihood and uncertainty are the same. The cost of
 an estimate is proportional to the number of samples, and is smaller by the ratio of the clocks.
 
-All of the record is examined first: where samples are missing, wild, stuck or clipped, or the load has frequencies
-above that band, the record keeps its clock. A record that is one part keeps it too (`aerobalance.estimation.force`).
+All of the record is examined first: where the load has frequencies above that band, or more samples are missing, wild,
+stuck or clipped than a few, the record keeps its clock. A record that is one part keeps it too
+(`aerobalance.estimation.force`). Of a few, short gaps are filled before they are decimated
+(`aerobalance.recording.short_gaps`), and long ones are gaps of the slower clock.
 """
 
 from __future__ import annotations
@@ -16,22 +18,27 @@ from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from aerobalance.balance.loads import Loads
 from aerobalance.dynamics.balance_dynamics import BalanceDynamics
-from aerobalance.estimation.record_look import Levels, Look
+from aerobalance.estimation.checks.impossible_channels import is_of_ground
+from aerobalance.estimation.checks.outliers import Outliers, outliers_of, without_outliers
+from aerobalance.estimation.record_look import Look, Piece
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import is_gauge
 from aerobalance.recording.decimation import ROLL_OFF, Decimation
+from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import FitError, kept_warnings
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.parts import Extent, LongRecord
 from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.resampling import interpolate_gaps_linearly
 from aerobalance.recording.sensors import corrected
+from aerobalance.recording.short_gaps import short_gaps_filled
 from aerobalance.recording.side_by_side import WORKERS, side_by_side
 
 Given = Recording | Loads
@@ -115,9 +122,22 @@ class RecordAsItIs:
         """Nothing is known of the power at the natural frequencies before the record is read."""
         return ()
 
+    @property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """Its wild, stuck and clipped samples are looked for where the forces are estimated."""
+        return ()
+
     def part(self, begin: int, end: int) -> Given:
         """Samples `begin` to `end` (excluded), with balance loads [N, N*m]."""
         return self.made_ready(self.record.part(begin, end))
+
+
+class _Read(NamedTuple):
+    """Of a part: its first sample and its clock in the record, and the doubts about its readings."""
+
+    begin: int
+    clock: Recording
+    doubts: tuple[Doubt, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,6 +152,8 @@ class DecimatedRecord:
         Converts samples that are gauge outputs to balance loads.
     decimation
         Factor between the clocks, and where the samples of the slower one are in the record.
+    components
+        Components whose forces are estimated.
     shown
         Power of the loads at each natural frequency over that of the noise there, at least, all along the record [1].
     """
@@ -139,9 +161,10 @@ class DecimatedRecord:
     record: LongRecord[Given]
     made_ready: MadeReady
     decimation: Decimation
+    components: tuple[str, ...]
     shown: tuple[float, ...] = ()
-    # of the part read last: its first sample and clock in the record; a list, as the class is frozen
-    _clocks: list[tuple[int, Recording]] = field(init=False, default_factory=list)
+    # of the part read last; a list, as the class is frozen
+    _read: list[_Read] = field(init=False, default_factory=list)
 
     @property
     def name(self) -> str:
@@ -180,21 +203,29 @@ class DecimatedRecord:
         if len(edges) > 2 and edges[-1] - edges[-2] < step // 2:
             # a short piece is joined to the one before: the noise of its readings could not be estimated
             del edges[-2]
-        pieces, stamps = zip(*side_by_side(self._piece, pairwise(edges)), strict=True)
-        joined, whole = _joined(pieces), np.concatenate(stamps)
+        pieces, stamps, found = zip(*side_by_side(self._piece, pairwise(edges)), strict=True)
+        joined, whole, outliers = _joined(pieces), np.concatenate(stamps), Outliers.joined(found)
         del pieces
+        first = self.decimation.span(begin, end).start
         recording = joined.recording if isinstance(joined, Loads) else joined
         clock = {name: replace(one, values=np.zeros(0)) for name, one in recording.channels.items()}
         fast = replace(
             recording,
             stamps=whole,
             rows=np.arange(whole.size),
+            start=self.record.start + first / self.record.rate,
             rate=self.record.rate,
             channels=clock,
             decimated=1,
         )
-        self._clocks[:] = [(self.decimation.span(begin, end).start, fast)]
+        names = [name for name in self.components if name in fast]
+        self._read[:] = [_Read(first, fast, outliers.doubts(fast, names))]
         return joined
+
+    @property
+    def doubts(self) -> tuple[Doubt, ...]:
+        """Doubts about the wild, stuck and clipped samples of the part that `part` returned last."""
+        return self._read[0].doubts
 
     def clock(self, first: int, last: int) -> tuple[Recording, slice]:
         """The record's own clock over the part that `part` returned last, and which of its samples are wanted.
@@ -204,19 +235,22 @@ class DecimatedRecord:
         first, last
             First sample of the record that is wanted, and the one after the last.
         """
-        ((begin, recording),) = self._clocks
+        ((begin, recording, _),) = self._read
         return recording, slice(first - begin, last - begin)
 
-    def _piece(self, ends: tuple[int, int]) -> tuple[Given, Array]:
-        """Samples of the slower clock with balance loads, and the time stamps of the record's samples there [s]."""
+    def _piece(self, ends: tuple[int, int]) -> tuple[Given, Array, Outliers]:
+        """Samples of the slower clock with balance loads; time stamps and outliers of the record's samples there."""
         begin, end = ends
         wanted = self.decimation.wanted(begin, end)
         given = self.made_ready(self.record.part(wanted.start, wanted.stop))
+        outliers = outliers_of(given, self.components)
+        given = self._without_short_gaps(without_outliers(given, outliers, self.components, clipped=True))
         recording = corrected(given.recording if isinstance(given, Loads) else given)
         span = self.decimation.span(begin, end)
-        stamps = recording.stamps[span.start - wanted.start : span.stop - wanted.start]
+        there = slice(span.start - wanted.start, span.stop - wanted.start)
+        stamps, outliers = recording.stamps[there], outliers.within(there)
         if not isinstance(given, Loads):
-            return self._recording(recording, begin, end), stamps
+            return self._recording(recording, begin, end), stamps, outliers
         first = self.decimation.before + begin * self.every - wanted.start
         rows = slice(first, first + (end - begin - 1) * self.every + 1, self.every)
         values = self.decimation.decimated(given.values, begin, end)
@@ -230,8 +264,33 @@ class DecimatedRecord:
             apart=given.apart if len(given.apart) == 1 else given.apart[rows],
             noise_covariance=given.noise_covariance / self.every,
             recording=slow,
+            stuck=None,
+            clipped=None,
         )
-        return felt, stamps
+        return felt, stamps, outliers
+
+    def _without_short_gaps(self, given: Given) -> Given:
+        """The readings with short gaps filled, of loads and of the ground's motion; of others all by straight lines.
+
+        So are gaps of the loads in the balance's own components, which tell how the errors of the matrix are felt.
+        """
+        recording = given.recording if isinstance(given, Loads) else given
+        gaps = [name for name, one in recording.channels.items() if np.isnan(one.values).any()]
+        if not gaps:
+            return given
+        channels = dict(recording.channels)
+        for name in gaps:
+            felt = name in self.components or is_of_ground(name)
+            values = channels[name].values
+            values = short_gaps_filled(values, self.every) if felt else _with_straight_lines(values)
+            channels[name] = replace(channels[name], values=values)
+        recording = replace(recording, channels=channels)
+        if not isinstance(given, Loads):
+            return recording
+        lost = np.isnan(given.values).any(axis=1)
+        native = np.column_stack([_with_straight_lines(np.where(lost, np.nan, one)) for one in given.native.T])
+        values = np.column_stack([channels[name].values for name in given.components])
+        return replace(given, values=values, native=native, recording=recording)
 
     def _recording(
         self, recording: Recording, begin: int, end: int, *, known: Mapping[str, Array] | None = None
@@ -263,6 +322,11 @@ class DecimatedRecord:
         return replace(channel, values=values, noise=noise)
 
 
+def _with_straight_lines(values: Array) -> Array:
+    """Readings with straight lines across their gaps; as they are where none is there."""
+    return values if np.isnan(values).all() else interpolate_gaps_linearly(values)
+
+
 def _joined(pieces: Sequence[Given]) -> Given:
     """Consecutive pieces of a part, joined to one."""
     if len(pieces) == 1:
@@ -282,13 +346,15 @@ def _joined(pieces: Sequence[Given]) -> Given:
     felt = [one for one in pieces if isinstance(one, Loads)]
     if not felt:
         return recording
+    # in a gap there is no noise to be judged
+    covariances = [one.noise_covariance for one in felt if np.isfinite(one.values).any()] or [felt[0].noise_covariance]
     apart = felt[0].apart if len(felt[0].apart) == 1 else np.concatenate([one.apart for one in felt])
     return replace(
         felt[0],
         values=np.concatenate([one.values for one in felt]),
         native=np.concatenate([one.native for one in felt]),
         apart=apart,
-        noise_covariance=np.mean([one.noise_covariance for one in felt], axis=0),
+        noise_covariance=np.mean(covariances, axis=0),
         beyond=sum((Counter(one.beyond) for one in felt), Counter[str]()),
         contraction=max(one.contraction for one in felt),
         recording=recording,
@@ -320,18 +386,19 @@ def slower_clock(
             begins, length = _pieces(record.samples)
             noise = _noise_of_gauges(record.part(0, length))
 
-            def looked(begin: int) -> dict[str, Levels]:
+            def looked(begin: int) -> Piece:
                 given = made_ready(_with_noise(record.part(begin, begin + length), noise))
-                return look.levels(given, dynamics.components)
+                return look.at(given, dynamics.components)
 
             for some in PROGRESS.each([begins[at : at + WORKERS] for at in range(0, len(begins), WORKERS)], "look"):
-                if not look.add(side_by_side(looked, some)):
-                    return None
+                look.add(side_by_side(looked, some))
     except FitError:
         return None  # raised again, with its reason, when the forces are estimated
     for factor in fitting:
-        if _band(record.rate, factor) >= SETTINGS.beyond * look.highest:
-            return DecimatedRecord(record, made_ready, Decimation(factor, record.samples), look.shown)
+        if _band(record.rate, factor) >= SETTINGS.beyond * look.highest and look.gaps_allow(factor):
+            return DecimatedRecord(
+                record, made_ready, Decimation(factor, record.samples), dynamics.components, look.shown
+            )
     return None
 
 

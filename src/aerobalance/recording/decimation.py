@@ -3,7 +3,8 @@
 The squares of the filter's gain at a frequency and at the one that folds onto it add up to 1 (a root-Nyquist filter),
 so that white noise on the fast clock is white on the slow one. Its gain falls off as that of Meyer's wavelet
 [Daubechies1992]_: smoothly, so that the impulse response is short. Where the filter would need samples beyond an end
-of the record, the best linear estimate of a band-limited series from the samples near that end is used instead.
+of the record or in a gap, the best linear estimate of a band-limited series from the samples on one side is used
+instead.
 
 References
 ----------
@@ -22,6 +23,10 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 
 from aerobalance.recording.channel import Array
+from aerobalance.recording.resampling import gaps_in, interpolate_gaps_linearly
+
+Places = NDArray[np.float64] | NDArray[np.intp]
+"""Where values of a series are [samples], shape (m,)."""
 
 ROLL_OFF: Final = 0.35
 """Half width of the transition band of the filter, over the new Nyquist frequency in its middle [1]."""
@@ -35,6 +40,17 @@ FINE: Final = 64
 
 BAND_NOISE: Final = 1e-8
 """Spectral density of noise over that of the series in its band, assumed for the estimate beside an end [1]."""
+
+SHORT_GAP: Final = 0.5
+"""Longest gap that is filled before decimation [new samples]: a new sample has at most 1.44 times its variance then,
+and a correlation of 0.28 with the next."""
+
+MOST_NOISE: Final = 1.5
+"""Variance of a sample beside a gap by noise, over that of others, above which it is left out."""
+
+ABOUT_FAST: Final = 3
+"""New samples on either side of an instant that are left out where readings change faster than the band: beyond, what
+a mode of 0.12 of the new sampling rate reads of a sudden force is off by less than a thousandth of that force."""
 
 BETWEEN: Final = 12
 """Samples on either side from which a value between samples is interpolated."""
@@ -70,8 +86,8 @@ def decimation_filter(factor: int, span: int = SPAN) -> Array:
     return np.asarray(taps / taps.sum())
 
 
-def band_limited_weights(places: Array, count: int, *, band: float, noise: float) -> Array:
-    """Weights by which the first samples of a series give its values at given places, shape (m, count) [1].
+def band_limited_weights(places: Places, own: Places, *, band: float, noise: float) -> Array:
+    """Weights by which samples of a series give its values at given places, shape (m, n) [1].
 
     They are those of the best linear estimate of a series that is white up to a frequency and zero beyond it, observed
     in white noise.
@@ -79,18 +95,17 @@ def band_limited_weights(places: Array, count: int, *, band: float, noise: float
     Parameters
     ----------
     places
-        Where the values are wanted, between the samples or beyond them, shape (m,) [samples from the first].
-    count
-        Number of samples that the estimate uses.
+        Where the values are wanted, between the samples or beyond them, shape (m,) [samples].
+    own
+        Where the samples are that the estimate uses, shape (n,) [samples].
     band
         Highest frequency of the series over the sampling rate [1].
     noise
         Spectral density of the noise over that of the series in its band [1].
     """
-    own = np.arange(count)
     within = 2 * band * np.sinc(2 * band * (own[:, None] - own))
     wanted = 2 * band * np.sinc(2 * band * (own[:, None] - places))
-    return np.asarray(np.linalg.solve(within + noise * np.eye(count), wanted).T)
+    return np.asarray(np.linalg.solve(within + noise * np.eye(own.size), wanted).T)
 
 
 @cache
@@ -100,6 +115,11 @@ def _weights_between(factor: int) -> Array:
     window = np.i0(SHARPNESS * np.sqrt(np.maximum(1 - (distance / BETWEEN) ** 2, 0.0)))
     weights = np.sinc(distance) * window
     return np.asarray(weights / weights.sum(axis=1, keepdims=True))
+
+
+def is_short_gap(samples: int, factor: int) -> bool:
+    """Return whether a gap of so many samples is filled before a series is decimated by a factor."""
+    return samples <= SHORT_GAP * factor
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,10 +162,13 @@ class Decimation:
     def decimated(self, series: Array, begin: int, end: int) -> Array:
         """Return series at samples `begin` to `end` (excluded) of the slow clock, shape (end - begin, c).
 
+        Beside a gap they are estimated as beside an end of the record; NaN in the gap, and next to it where the noise
+        of that estimate is too large.
+
         Parameters
         ----------
         series
-            c series without gaps at the samples that `wanted` returns, shape (m, c).
+            c series at the samples that `wanted` returns, shape (m, c); NaN where one is missing.
         begin, end
             First sample of the slow clock, and the one after the last.
 
@@ -159,6 +182,10 @@ class Decimation:
                 f"a record of {self.samples} samples is too short to be decimated by {self.factor}: "
                 f"{2 * SPAN * self.factor} are needed"
             )
+        gap = np.isnan(series)
+        if gap.any():
+            columns = zip(series.T, gap.T, strict=True)
+            return np.column_stack([self._beside_gaps(column, lost, begin, end) for column, lost in columns])
         own, factor = self.wanted(begin, end), self.factor
         places = self.before + factor * np.arange(begin, end)
         late = (own.start - self.before) % factor  # so that every factor-th sample of the block is one of the clock
@@ -178,6 +205,34 @@ class Decimation:
         ):
             if near.any():  # the filter would need samples beyond an end of the record
                 out[near] = _weights_at_end(distance[near], factor) @ samples[: 2 * reach]
+        return out
+
+    def _beside_gaps(self, series: Array, gap: NDArray[np.bool_], begin: int, end: int) -> Array:
+        """A series with gaps, which are where `gap` is True, decimated, shape (end - begin,)."""
+        out = np.full(end - begin, np.nan)
+        if gap.all():
+            return out
+        own, factor, reach = self.wanted(begin, end), self.factor, SPAN * self.factor
+        at = self.before + factor * np.arange(begin, end) - own.start
+        within = self.decimated(interpolate_gaps_linearly(series)[:, None], begin, end)[:, 0]
+        for first, stop in gaps_in(~gap):
+            inside = (at >= first) & (at < stop)
+            out[inside] = within[inside]
+            count, run = min(2 * reach, stop - first), series[first:stop]
+            # the estimate beside an end of the record would reach into a gap that is near
+            ends = first > 0 or (own.start == 0 and stop < 2 * reach), stop < gap.size
+            if all(ends) and count == stop - first:
+                out[inside] = _estimated(run, at[inside] - first, factor)
+                continue
+            for gap_there, samples, distance in zip(ends, (run, run[::-1]), (at - first, stop - 1 - at), strict=True):
+                near = inside & (distance < reach)
+                if gap_there and near.any():
+                    out[near] = _estimated(samples[:count], distance[near], factor)
+        for first, stop in gaps_in(gap):
+            if is_short_gap(
+                stop - first, factor
+            ):  # it would have been filled, but for something fast that happened there
+                out[(at > first - ABOUT_FAST * factor) & (at < stop + ABOUT_FAST * factor)] = np.nan
         return out
 
     def interpolated(self, series: Array, begin: int, end: int, *, first: int = 0) -> Array:
@@ -223,6 +278,15 @@ def _weights_at_end(places: NDArray[np.intp], factor: int) -> Array:
     return _weights(places.astype(np.float64).tobytes(), 2 * SPAN * factor, band, BAND_NOISE)
 
 
+def _estimated(samples: Array, places: NDArray[np.intp], factor: int) -> Array:
+    """A series at places in a run of its samples, counted from the first, shape (m,); NaN where noise is too large."""
+    band = (1 - ROLL_OFF) / (2 * factor)
+    weights = _weights(places.astype(np.float64).tobytes(), samples.size, band, BAND_NOISE)
+    level = float(samples.mean())
+    noisy = factor * np.sum(weights**2, axis=1) > MOST_NOISE
+    return np.where(noisy, np.nan, level + weights @ (samples - level))
+
+
 def _beside_end(series: Array, places: Array) -> Array:
     """Values of a series near its beginning, at places in samples from its first, shape (m,).
 
@@ -232,10 +296,10 @@ def _beside_end(series: Array, places: Array) -> Array:
     return np.asarray(_weights(places.tobytes(), count, 0.5 * (1 - ROLL_OFF), CLEAN) @ series[:count])
 
 
-@lru_cache(maxsize=8)  # all channels of a record have the same ends, and are asked there one after the other
+@lru_cache(maxsize=32)  # all channels of a record have the same ends and gaps, and are asked one after the other
 def _weights(places: bytes, count: int, band: float, noise: float) -> Array:
     """`band_limited_weights` for places in a form that can be remembered."""
-    return band_limited_weights(np.frombuffer(places), count, band=band, noise=noise)
+    return band_limited_weights(np.frombuffer(places), np.arange(count), band=band, noise=noise)
 
 
 def ends_between_samples(values: Array, factor: int) -> tuple[float, float]:

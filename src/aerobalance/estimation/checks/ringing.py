@@ -278,7 +278,8 @@ class RingingSpectra:
         volume = self.determinant(rows) if determinant is None else determinant
         forces, found = self._forces(rows, self.shown), np.empty(self.bands.size)
         channels = np.linalg.solve(forces.rows, forces.lines.T[..., None])[..., 0].T
-        likeliest_levels_and_noise(forces, np.abs(channels) ** 2, self.bands, COLORED, found)
+        powers = np.ascontiguousarray(np.abs(channels) ** 2)  # as memory has them beforehand, and so compiled
+        likeliest_levels_and_noise(forces, powers, self.bands, COLORED, found)
         colored = self._less_volume(found, rows, self.shown, volume) - AKAIKE * self.noise.size
         return np.maximum(self.evidence_apart(rows, determinant=volume), colored)
 
