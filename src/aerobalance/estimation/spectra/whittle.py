@@ -10,6 +10,7 @@ References
 
 from __future__ import annotations
 
+from collections import OrderedDict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, TypedDict, Unpack
@@ -55,6 +56,9 @@ the level of that as well, and its edge is looked for too low where as much agai
 FAINT_CHANCE: Final = 0.01
 """Probability with which chance makes one of bands of the same density so faint that these are tried."""
 
+
+KEPT: Final = 128
+"""Fits that are kept: a force and the checks of it ask for some of them again."""
 
 FAINTEST: Final = 1e-6
 """Least density of a noise over the largest that is tried where its mean is asked for."""
@@ -136,8 +140,22 @@ def likeliest_of(fits: Sequence[SpectrumFit]) -> SpectrumFit:
 def fit_spectra(periodogram: Periodogram, **known: Unpack[NoiseKnown]) -> list[SpectrumFit]:
     """Find what a force may be: the likeliest from usual levels of the noise, and those with a fainter noise.
 
-    Its arguments are those of `fit_spectrum`.
+    Its arguments are those of `fit_spectrum`. What was found lately of the same numbers is not looked for again.
     """
+    asked = (periodogram.digest, *sorted(known.items()))
+    found = _kept.get(asked)
+    if found is None:
+        found = _kept[asked] = _fitted(periodogram, **known)
+        while len(_kept) > KEPT:
+            _kept.popitem(last=False)
+    return list(found)
+
+
+_kept: Final = OrderedDict[tuple[object, ...], list[SpectrumFit]]()
+
+
+def _fitted(periodogram: Periodogram, **known: Unpack[NoiseKnown]) -> list[SpectrumFit]:
+    """What `fit_spectra` gives, looked for."""
     noise_density, near, floor = known.get("noise_density"), known.get("near"), known.get("floor", 0.0)
     starts = quiet_levels(periodogram) if noise_density is None else [noise_density]
     settled = SETTLED
