@@ -166,6 +166,13 @@ def fitted(record: CoupledRecord) -> Sequence[Witness]:
     return [Witness(fit.record, fit.smoothed) for fit in fits]
 
 
+def pitching_moment(made: Shaken) -> Array:
+    """The force of PM alone, which takes a sixth of the time of all."""
+    used = made.used
+    record = CoupledRecord.of(used.recording, used.dynamics)
+    return Fitted.of(record.component_record("PM", interpolate_gaps(record.loads)), hum="mains").smoothed.force
+
+
 @pytest.mark.parametrize(("kind", "size"), [("ground delay", 1e-3), ("ground gain", 1.01)])
 def test_what_a_channel_would_do_that_a_record_does_not_tell_is_assumed(kind, size, rng):
     """A load that is large beside the motion hides 5 ms, which made errors of up to 60 u without a word.
@@ -177,7 +184,8 @@ def test_what_a_channel_would_do_that_a_record_does_not_tell_is_assumed(kind, si
     (one,) = [one for one in force.assumed if one.kind == kind]
     named = re.findall(r"ground_\w+|pitch|roll", one.text.split(", which")[0])
     change = made.with_late if kind == "ground delay" else made.with_gain
-    moved = [change(name, size).used.force["PM"].values - force.values for name in named]
+    np.testing.assert_allclose(pitching_moment(made), force.values, rtol=1e-9)
+    moved = [pitching_moment(change(name, size)) - force.values for name in named]
     assert one.effect == pytest.approx(float(np.sqrt(sum(map(np.var, moved)))), rel=0.2)
 
 
