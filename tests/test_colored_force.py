@@ -147,6 +147,7 @@ def test_color_of_the_floor_is_seen(rng):
 
 
 @pytest.mark.parametrize("seed", [0, 7, 15, 21])
+@pytest.mark.soak(first=2)
 @pytest.mark.filterwarnings(
     "ignore:.*taken for noise of the electronics:aerobalance.recording.errors.DataQualityWarning"
 )
@@ -172,7 +173,7 @@ def test_a_smooth_hump_is_no_force(seed):
 @pytest.mark.soak(first=1)
 def test_what_other_dynamics_explain_is_no_noise_of_a_color(rng, kind, edge, true, known):
     """A resonance that the dynamics lack fits a noise of some levels, and itself by far better."""
-    for _ in range(3):
+    for _ in range(trials(1, 3)):
         felt, _ = load_of_band(rng, edge, rms=200, dynamics=true)
         found = estimate_force(record_of(felt + rng.normal(0, 2, N)), known)
         assert found.only.learned.color is None
@@ -196,7 +197,7 @@ def test_noise_that_rises_with_frequency_is_no_force(rng):
     density = 200**2 / (2 * 100)
     bound = np.sqrt(2 * 100 * np.mean(density * seen / (density + seen)))
     missed = 0
-    for _ in range(3):
+    for _ in range(trials(2, 3)):
         felt, force = load_of_band(rng, 100, rms=200)
         found = estimate_force(record_of(felt + noise_of(rng, shaped, n=N)), T128).only
         inner = slice(N // 20, -N // 20)

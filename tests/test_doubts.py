@@ -496,6 +496,7 @@ def test_delays_of_channels_do_not_hide_how_resonances_have_changed(rng):
 
 
 @pytest.mark.parametrize("place", [0.96, 1.1, 1.4], ids="at {} of the lowest natural frequency".format)
+@pytest.mark.soak(first=1)
 def test_where_a_load_ends_no_change_of_a_resonance_is_told(place, rng):
     """Of a right likelihood the slope at the truth has a mean of 0 and the curvature for its variance (Fisher).
 

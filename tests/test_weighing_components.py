@@ -524,7 +524,7 @@ def test_errors_of_components_are_correlated_as_those_of_weighings_over_again(rn
     pitch, roll = grid(4)
     true = read(pitch, roll)
     later = {"pitch": np.radians([-8.0, 3.0, 12.0]), "roll": np.radians([0.0, 20.0, -10.0])}
-    count = trials(300, 1000)
+    count = trials(200, 1000)
     noise = np.tile(list(NOISE.values()), (pitch.size, 1))
     weighed = [weigh_quietly(points(pitch, roll, noisy(rng, true), noise=noise)) for _ in range(count)]
     loads = np.array([one.loads(**later, offsets=False) for one in weighed])
