@@ -81,6 +81,15 @@ def once(tmp_path_factory) -> Path:
     return folder
 
 
+@pytest.fixture(scope="module")
+def paged(tmp_path_factory) -> Path:
+    """Four runs, and below `serial` what one process makes of them, with pages; nobody writes to it."""
+    folder = tmp_path_factory.mktemp("paged")
+    runs, dynamics = axial_folder(folder, np.random.default_rng(new_seed()), count=4)
+    reduce_runs(runs, folder / "serial", dynamics=dynamics, engine=HERE, report=Pages(folder / "serial.log"))
+    return folder
+
+
 @pytest.fixture
 def files(once, tmp_path) -> Files:
     """A copy of it."""
@@ -468,23 +477,21 @@ def same_results(out: Path, serial: Path) -> None:
         xr.testing.assert_identical(one, other)
 
 
-def test_a_worker_killed_in_the_middle_costs_one_run_again(tmp_path, rng):
-    runs, dynamics = axial_folder(tmp_path, rng, count=4)
-    reduce_runs(runs, tmp_path / "serial", dynamics=dynamics, engine=HERE, report=Pages(tmp_path / "serial.log"))
+def test_a_worker_killed_in_the_middle_costs_one_run_again(tmp_path, paged):
+    runs, dynamics = paged / "runs", paged / "dynamics.json"
     log = tmp_path / "log"
     found = reduce_runs(
         runs, tmp_path / "out", dynamics=dynamics, engine=Engine(workers=1), report=Pages(log, fatal="run_2")
     )
     assert not found.aside
-    same_results(tmp_path / "out", tmp_path / "serial")
+    same_results(tmp_path / "out", paged / "serial")
     assert sorted(log.read_text().split()) == ["run_1", "run_2", "run_2", "run_3", "run_4"]
 
 
-def test_a_scheduler_that_ends_is_gone_on_with_by_the_next_call(tmp_path, rng, monkeypatch):
+def test_a_scheduler_that_ends_is_gone_on_with_by_the_next_call(tmp_path, paged, monkeypatch):
     """The scheduler ends while the second run is worked on; another one at its address is given the three others."""
-    runs, dynamics = axial_folder(tmp_path, rng, count=4)
+    runs, dynamics = paged / "runs", paged / "dynamics.json"
     plain, held = Pages(tmp_path / "log"), Held(tmp_path / "log", records=tmp_path / "out" / "runs")
-    reduce_runs(runs, tmp_path / "serial", dynamics=dynamics, engine=HERE, report=plain)
     port = free_port()
     AT_WORK.clear()
     ENDED.clear()
@@ -527,7 +534,7 @@ def test_a_scheduler_that_ends_is_gone_on_with_by_the_next_call(tmp_path, rng, m
     with scheduler():
         found = reduce_runs(runs, tmp_path / "out", **again)
     assert set(found.done) == {"run_1", "run_2", "run_3", "run_4"} - {first}
-    same_results(tmp_path / "out", tmp_path / "serial")
+    same_results(tmp_path / "out", paged / "serial")
 
 
 @pytest.mark.long
