@@ -234,6 +234,7 @@ def test_steps_that_mend_each_other_are_no_load_of_many_steps():
     ("name", "seed"),
     [("f0 400 Hz, broad", 15), ("rate 0.2 times the true one, broad", 3), ("rate 0.2 times the true one, broad", 5)],
 )
+@pytest.mark.soak(first=2)
 def test_a_load_that_keeps_a_resonance_up_is_no_free_oscillation(name, seed):
     """Taken out by least squares, one that is not there leaves 1, -77 and -186 of the gain of 36 to 43.
 
@@ -450,13 +451,13 @@ def test_a_strong_narrow_band_beside_the_resonance_is_no_other_resonance(name, s
     """
     (case,) = (one for one in sound() if one.name == f"narrow at {name}")
     left_open = 0
-    for place in range(trials(3, 10)):
+    for place in range(trials(2, 10)):
         found = trial((case, seed + place))
         if any(" AF may " in text for text in found["said"]):
             left_open += 1
             continue
         assert not {"natural frequency", "damping ratio", "missing mode"} & set(found["kinds"])
-    assert left_open <= trials(1, 2)  # of 34 one: of three more than one in 400, of ten more than two once in 350
+    assert left_open <= trials(1, 2)  # of 34 one: of two both once in 1150, of ten more than two once in 350
 
 
 @pytest.mark.parametrize("seed", [1, 0, 2])
@@ -470,7 +471,7 @@ def test_a_square_wave_is_no_balance_that_does_not_ring(seed):
 
 
 @pytest.mark.parametrize("factor", [0.95, 1.03, 1.1])
-@pytest.mark.soak(first=2)
+@pytest.mark.soak(first=1)
 def test_another_resonance_is_told_beside_narrow_loads(factor, rng):
     """A broad load shows a resonance beside its peak, and where it is missing: a narrow load of no shape explains it.
 

@@ -456,7 +456,7 @@ def swept(
 
 
 @pytest.mark.parametrize(("first", "last"), [(1.0, 200.0), (40.0, 100.0), (2.0, 50.0)])
-@pytest.mark.soak(first=2)
+@pytest.mark.soak(first=1)
 def test_a_sweep_through_the_resonance_is_no_shocks_and_no_other_balance(first, last, rng) -> None:
     """Against the band-limited inverse with the best bandwidth, chosen with the truth known."""
     run, truth = swept(rng, first=first, last=last)
