@@ -8,7 +8,7 @@ from scipy.integrate import quad
 from scipy.optimize import approx_fprime, minimize
 
 from aerobalance.dynamics.single import Dynamics, Mode
-from aerobalance.estimation.spectra import _kernels
+from aerobalance.estimation.spectra import _kernels, whittle
 from aerobalance.estimation.spectra._kernels import score_roll_off
 from aerobalance.estimation.spectra.parametric_psd import _averages_of, _costs, fit_roll_offs, refit_roll_off
 from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum, _Ordinates
@@ -276,6 +276,47 @@ def test_density_and_load_of_a_tail(rng):
     far = periodogram.frequency > 200  # the window sees nothing there of what is below the edge
     fall = (periodogram.frequency[far] / 100) ** -4
     assert periodogram.load(tail)[far] == pytest.approx(periodogram.load(level)[far] * fall, rel=1e-9)
+
+
+def test_a_spectrum_is_looked_for_once_of_the_same_numbers_and_anew_of_others(rng, monkeypatch):
+    values = felt(rng, lambda f: np.where(f <= 120, 1000.0, 0.0), n=1000)
+
+    def seen(dynamics=T128, **more) -> Periodogram:
+        return Periodogram.of(values, dynamics, interval=1 / RATE, **more)
+
+    class LookedForError(Exception):
+        pass
+
+    def looks(*given, **known):
+        raise LookedForError
+
+    found = fit_spectrum(seen(), floor=1e-6)
+    monkeypatch.setattr(whittle, "_fitted", looks)
+    assert fit_spectrum(seen(), floor=1e-6) is found
+    hidden = np.arange(seen().gain.size) == 7
+    others = [
+        seen(T128.with_modes(Mode(165.0, 0.004, 0.05))),
+        seen(input_density=1e-6),
+        seen(color=lambda f, width: np.full(f.size, 1e-3)),
+        seen(even=True),
+        seen().without(hidden, leaks=False),
+        Periodogram.of(values + 1e-9 * np.sin(np.arange(1000)), T128, interval=1 / RATE),
+        Periodogram.of(values, T128, interval=1 / RATE * (1 + 1e-12)),
+    ]
+    for other in others:
+        with pytest.raises(LookedForError):
+            fit_spectrum(other, floor=1e-6)
+    for known in ({}, {"floor": 2e-6}, {"floor": 1e-6, "rising": True}, {"floor": 1e-6, "near": 1e-3}):
+        with pytest.raises(LookedForError):
+            fit_spectrum(seen(), **known)
+
+
+def test_of_many_spectra_the_last_ones_are_kept(rng, monkeypatch):
+    monkeypatch.setattr(whittle, "KEPT", 2)
+    whittle._kept.clear()
+    for _ in range(4):
+        fit(felt(rng, lambda f: np.where(f <= 120, 1000.0, 0.0), n=1000))
+        assert len(whittle._kept) <= 2
 
 
 def test_nothing_is_found_in_noise(rng):
