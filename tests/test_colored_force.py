@@ -197,7 +197,7 @@ def test_noise_that_rises_with_frequency_is_no_force(rng):
     density = 200**2 / (2 * 100)
     bound = np.sqrt(2 * 100 * np.mean(density * seen / (density + seen)))
     missed = 0
-    for _ in range(trials(2, 3)):
+    for _ in range(3):
         felt, force = load_of_band(rng, 100, rms=200)
         found = estimate_force(record_of(felt + noise_of(rng, shaped, n=N)), T128).only
         inner = slice(N // 20, -N // 20)
