@@ -122,7 +122,7 @@ def test_peaks_between_samples() -> None:
 def test_the_estimate_beside_an_end_is_the_best(rng: np.random.Generator) -> None:
     """Its mean square error is that which the covariances say, and any other weights have a larger one."""
     places, count, band, noise = np.array([0.0, 3.5]), 40, 0.1, 0.01
-    weights = band_limited_weights(places, np.arange(count), band=band, noise=noise)
+    weights = band_limited_weights(places, count, band=band, noise=noise)
     samples = np.arange(count)
 
     def error(weights: np.ndarray) -> np.ndarray:

@@ -28,6 +28,10 @@ def lacking(values: np.ndarray, begins: np.ndarray, length: int) -> np.ndarray:
     return without
 
 
+def filled_of(values: np.ndarray, factor: int) -> np.ndarray:
+    return short_gaps_filled(values[:, None], factor)[:, 0]
+
+
 @pytest.mark.parametrize("share", [0, 1])
 @pytest.mark.parametrize("factor", FACTORS)
 def test_what_is_filled_is_off_by_less_than_a_reading(factor: int, share: int, rng: np.random.Generator) -> None:
@@ -35,11 +39,11 @@ def test_what_is_filled_is_off_by_less_than_a_reading(factor: int, share: int, r
     length, samples = max(int(SETTINGS.beside * factor * share), 1), 40_000
     true = band_limited(rng, samples, factor=factor, rms=100.0)
     begins = np.arange(50, samples - 50, 40 * factor)
-    filled = short_gaps_filled(lacking(true + rng.normal(size=samples), begins, length), factor)
+    filled = filled_of(lacking(true + rng.normal(size=samples), begins, length), factor)
     reach = SETTINGS.reach * factor
     present = np.ones(2 * reach + length, dtype=bool)
     present[reach : reach + length] = False
-    weights, _ = short_gaps._across(present.tobytes(), reach, reach + length, factor)
+    weights, _ = short_gaps._across(present, slice(reach, reach + length), factor)
     variance = np.sum(weights**2, axis=1)
     assert variance.max() < SETTINGS.noise_gain
     inside = begins[(begins > 24 * factor) & (begins < samples - 24 * factor)]
@@ -54,7 +58,7 @@ def test_a_slower_sample_has_little_more_noise_for_it(factor: int, rng: np.rando
     length, reach = int(0.5 * factor), SETTINGS.reach * factor
     present = np.ones(2 * reach + length, dtype=bool)
     present[reach : reach + length] = False
-    weights, _ = short_gaps._across(present.tobytes(), reach, reach + length, factor)
+    weights, _ = short_gaps._across(present, slice(reach, reach + length), factor)
     taps = decimation_filter(factor)
     half, worst = taps.size // 2, 0.0
     readings = np.arange(present.size)
@@ -72,7 +76,7 @@ def test_gaps_at_the_ends_and_long_ones_are_left(rng: np.random.Generator) -> No
     values = band_limited(rng, samples, factor=factor, rms=100.0) + rng.normal(size=samples)
     values[:2] = values[-3:] = values[2000:2006] = np.nan
     values[3000:3005] = np.nan
-    filled = short_gaps_filled(values, factor)
+    filled = filled_of(values, factor)
     assert not is_short_gap(6, factor)
     assert np.flatnonzero(np.isnan(filled)).tolist() == [0, 1, *range(2000, 2006), *range(4997, 5000)]
     untouched = ~np.isnan(values)
@@ -83,7 +87,7 @@ def test_gaps_near_each_other_are_filled_from_what_is_there(rng: np.random.Gener
     factor, samples = 10, 4000
     true = band_limited(rng, samples, factor=factor, rms=100.0)
     begins = np.arange(1000, 1400, 8)
-    filled = short_gaps_filled(lacking(true + 0.5 * rng.normal(size=samples), begins, 2), factor)
+    filled = filled_of(lacking(true + 0.5 * rng.normal(size=samples), begins, 2), factor)
     lost = (begins[:, None] + np.arange(2)).ravel()
     assert np.isfinite(filled).all()
     # less than the noise of a reading, as `noise_gain` says; of a hundred numbers half of which go together
@@ -100,7 +104,7 @@ def test_where_readings_change_faster_than_the_band_nothing_is_filled(place: int
         load = 5000.0 * T128.step_response(time - (begin + place + 0.3) / rate)
         values = load + 0.5 * rng.normal(size=samples)
         values[begin : begin + 4] = np.nan
-        assert np.isnan(short_gaps_filled(values, factor)[begin : begin + 4]).all()
+        assert np.isnan(filled_of(values, factor)[begin : begin + 4]).all()
 
 
 def test_decimated_beside_a_long_gap(rng: np.random.Generator) -> None:

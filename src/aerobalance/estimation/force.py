@@ -49,6 +49,13 @@ from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import interpolate_gaps
 
+MANY_GAPS: Final = 16
+"""Gaps of a channel from which on a record of one part is estimated on a slower clock as well: its own smoother needs
+15 ms for each and each component."""
+
+FEWEST_SLOWER: Final = 2048
+"""Samples of the slower clock that such a record has at least: at its ends the forces are less well known on it."""
+
 SAME_WEIGHT: Final = 1e-3
 """Difference of two weights, over the largest, that attitudes which are averaged may make."""
 
@@ -142,7 +149,7 @@ class ForceWork:
         return self._working[0]
 
     def _on_slower_clock(self) -> DecimatedRecord | None:
-        """The record on a slower clock, where it is long and the method can do with it."""
+        """The record on a slower clock, where it is long or has many gaps, and the method can do with it."""
         own = self.settings
         if (
             self.noise is not None
@@ -151,9 +158,19 @@ class ForceWork:
             or not by_smoother(method=own.method, bandwidth=own.bandwidth)
         ):
             return None
-        if self.record.samples <= self.division.length(self.dynamics):
+        if self.record.samples > self.division.length(self.dynamics):
+            return slower_clock(self.record, self.dynamics, self.made_ready)
+        if not self._has_many_gaps():
             return None
-        return slower_clock(self.record, self.dynamics, self.made_ready)
+        slower = slower_clock(self.record, self.dynamics, self.made_ready)
+        return slower if slower is not None and slower.samples >= FEWEST_SLOWER else None
+
+    def _has_many_gaps(self) -> bool:
+        """Whether a channel of a record that is one part has so many gaps that they would take most of the time."""
+        given = self.record.part(0, self.record.samples)
+        recording = given.recording if isinstance(given, Loads) else given
+        begins = (np.count_nonzero(np.diff(np.isnan(one.values), prepend=False)) / 2 for one in recording)
+        return bool(max(begins, default=0) > MANY_GAPS)
 
     def parts(self) -> Iterator[ForcePart]:
         """Forces of the record [N, N*m], part by part; a record that is short enough is one part.

@@ -18,6 +18,7 @@ from aerobalance.recording.decimation import is_short_gap
 from aerobalance.recording.fourier import hann
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import gaps_in
+from aerobalance.recording.short_gaps import short_gaps_filled
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,8 +29,11 @@ class LookSettings:
     ----------
     stands_out
         Spectral density of the readings over that of their noise from which on a load is taken to be there [1]: in one
-        block of samples, and in the mean of all blocks. With noise alone, the density of a band in a block is a
-        chi-squared of some 135 degrees of freedom over their number: 4 in 1e11 are above twice the level.
+        block of samples, and in the mean of all blocks at least. With noise alone, the density of a band in a block is
+        a chi-squared of some 135 degrees of freedom over their number: 4 in 1e11 are above twice the level.
+    deviations
+        Standard deviations of that mean, of noise alone, by which it must stand out as well: of few blocks a quarter
+        is five of them, and one record of 6 s in a thousand had that.
     block, segment
         Samples of a block, and of the segments over which its spectrum is averaged.
     bands
@@ -39,10 +43,11 @@ class LookSettings:
     """
 
     stands_out: tuple[float, float] = (2.0, 1.25)
+    deviations: float = 7.0
     block: int = 1 << 14
     segment: int = 1 << 11
     bands: int = 64
-    gaps: tuple[int, int] = (256, 16)
+    gaps: tuple[int, int] = (4096, 64)
 
 
 SETTINGS: Final = LookSettings()
@@ -91,6 +96,8 @@ class Look:
         Frequency above which the level of the noise is judged [Hz].
     modes
         Natural frequencies [Hz].
+    factor
+        Largest factor by which the clock may be slower.
     highest
         Highest frequency at which a load is above the noise in the pieces added so far [Hz].
     """
@@ -98,6 +105,7 @@ class Look:
     rate: float
     above: float
     modes: tuple[float, ...]
+    factor: int
     _highest: float = 0.0
     _power: dict[str, Array] = field(default_factory=dict)
     _least: dict[str, Array] = field(default_factory=dict)
@@ -107,8 +115,14 @@ class Look:
     @property
     def highest(self) -> float:
         """Highest frequency at which a load is above the noise, in one block or in the mean of all [Hz]."""
-        whole = [self._edge(power[None], SETTINGS.stands_out[1]) for power in self._power.values()]
+        whole = [self._edge(power[None], self._stands_out(name)) for name, power in self._power.items()]
         return max(self._highest, *whole)
+
+    def _stands_out(self, name: str) -> float:
+        """Density of the mean of all blocks of a load over that of its noise from which on a load is there [1]."""
+        least = SETTINGS.stands_out[1]
+        blocks = self._blocks[name]
+        return max(least, 1 + SETTINGS.deviations * np.sqrt(2 / (135 * blocks))) if blocks else least
 
     @property
     def shown(self) -> tuple[float, ...]:
@@ -131,7 +145,16 @@ class Look:
         needed = [one.values for name, one in recording.channels.items() if name in names or is_of_ground(name)]
         lost = (np.isnan(values) for values in needed)
         gaps = tuple(np.array([last - first for first, last in gaps_in(gap)]) for gap in lost if gap.any())
-        return Piece({name: self._levels(recording.channel(name).values) for name in names}, gaps)
+        loads = (
+            self._mostly_whole(np.column_stack([recording.channel(name).values for name in names])) if gaps else None
+        )
+        return Piece(
+            {
+                name: self._levels(recording.channel(name).values if loads is None else loads[:, place])
+                for place, name in enumerate(names)
+            },
+            gaps,
+        )
 
     def add(self, pieces: Sequence[Piece]) -> None:
         """Add what some pieces show."""
@@ -152,6 +175,12 @@ class Look:
             len(gaps) <= most and sum(not is_short_gap(length, factor) for length in gaps) <= most_long
             for gaps in self._gaps
         )
+
+    def _mostly_whole(self, loads: Array) -> Array:
+        """Readings of loads, shape (n, c), their short gaps filled where more than half of the segments have some."""
+        segment = min(SETTINGS.segment, len(loads))
+        lacking = np.unique(np.flatnonzero(np.isnan(loads).any(axis=1)) // segment).size
+        return loads if 2 * lacking * segment < len(loads) else short_gaps_filled(loads, self.factor)
 
     def _levels(self, values: Array) -> Levels:
         """Levels of the readings of one load."""

@@ -279,11 +279,12 @@ class DecimatedRecord:
         if not gaps:
             return given
         channels = dict(recording.channels)
-        for name in gaps:
-            felt = name in self.components or is_of_ground(name)
-            values = channels[name].values
-            values = short_gaps_filled(values, self.every) if felt else _with_straight_lines(values)
-            channels[name] = replace(channels[name], values=values)
+        felt = [name for name in gaps if name in self.components or is_of_ground(name)]
+        if felt:
+            table = short_gaps_filled(np.column_stack([channels[name].values for name in felt]), self.every)
+            channels |= {name: replace(channels[name], values=one) for name, one in zip(felt, table.T, strict=True)}
+        for name in set(gaps) - set(felt):
+            channels[name] = replace(channels[name], values=_with_straight_lines(channels[name].values))
         recording = replace(recording, channels=channels)
         if not isinstance(given, Loads):
             return recording
@@ -380,7 +381,7 @@ def slower_clock(
     if not fitting:
         return None
     modes = tuple(mode.natural_frequency for mode in dynamics.modes)
-    look = Look(record.rate, above=_band(record.rate, fitting[0]), modes=modes)
+    look = Look(record.rate, above=_band(record.rate, fitting[0]), modes=modes, factor=fitting[0])
     try:
         with kept_warnings():  # given when the forces are estimated
             begins, length = _pieces(record.samples)

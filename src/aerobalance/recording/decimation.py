@@ -13,6 +13,7 @@ References
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from typing import Final
@@ -24,9 +25,6 @@ from scipy.fft import irfft, next_fast_len, rfft
 
 from aerobalance.recording.channel import Array
 from aerobalance.recording.resampling import gaps_in, interpolate_gaps_linearly
-
-Places = NDArray[np.float64] | NDArray[np.intp]
-"""Where values of a series are [samples], shape (m,)."""
 
 ROLL_OFF: Final = 0.35
 """Half width of the transition band of the filter, over the new Nyquist frequency in its middle [1]."""
@@ -86,8 +84,8 @@ def decimation_filter(factor: int, span: int = SPAN) -> Array:
     return np.asarray(taps / taps.sum())
 
 
-def band_limited_weights(places: Places, own: Places, *, band: float, noise: float) -> Array:
-    """Weights by which samples of a series give its values at given places, shape (m, n) [1].
+def band_limited_weights(places: Array, count: int, *, band: float, noise: float) -> Array:
+    """Weights by which the first samples of a series give its values at given places, shape (m, count) [1].
 
     They are those of the best linear estimate of a series that is white up to a frequency and zero beyond it, observed
     in white noise.
@@ -95,17 +93,18 @@ def band_limited_weights(places: Places, own: Places, *, band: float, noise: flo
     Parameters
     ----------
     places
-        Where the values are wanted, between the samples or beyond them, shape (m,) [samples].
-    own
-        Where the samples are that the estimate uses, shape (n,) [samples].
+        Where the values are wanted, between the samples or beyond them, shape (m,) [samples from the first].
+    count
+        Number of samples that the estimate uses.
     band
         Highest frequency of the series over the sampling rate [1].
     noise
         Spectral density of the noise over that of the series in its band [1].
     """
+    own = np.arange(count)
     within = 2 * band * np.sinc(2 * band * (own[:, None] - own))
     wanted = 2 * band * np.sinc(2 * band * (own[:, None] - places))
-    return np.asarray(np.linalg.solve(within + noise * np.eye(own.size), wanted).T)
+    return np.asarray(np.linalg.solve(within + noise * np.eye(count), wanted).T)
 
 
 @cache
@@ -120,6 +119,15 @@ def _weights_between(factor: int) -> Array:
 def is_short_gap(samples: int, factor: int) -> bool:
     """Return whether a gap of so many samples is filled before a series is decimated by a factor."""
     return samples <= SHORT_GAP * factor
+
+
+def alike_in_gaps(table: Array) -> Iterator[tuple[NDArray[np.intp], NDArray[np.bool_]]]:
+    """Yield the columns of a table (n, c) that miss the same samples, and where these are, shape (n,)."""
+    missing = np.isnan(table)
+    _, which = np.unique(missing, axis=1, return_inverse=True)
+    for group in np.unique(which):
+        columns = np.flatnonzero(which == group)
+        yield columns, missing[:, columns[0]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,10 +190,11 @@ class Decimation:
                 f"a record of {self.samples} samples is too short to be decimated by {self.factor}: "
                 f"{2 * SPAN * self.factor} are needed"
             )
-        gap = np.isnan(series)
-        if gap.any():
-            columns = zip(series.T, gap.T, strict=True)
-            return np.column_stack([self._beside_gaps(column, lost, begin, end) for column, lost in columns])
+        if np.isnan(series).any():
+            out = np.empty((end - begin, series.shape[1]))
+            for columns, gap in alike_in_gaps(series):
+                out[:, columns] = self._beside_gaps(series[:, columns], gap, begin, end)
+            return out
         own, factor = self.wanted(begin, end), self.factor
         places = self.before + factor * np.arange(begin, end)
         late = (own.start - self.before) % factor  # so that every factor-th sample of the block is one of the clock
@@ -208,13 +217,15 @@ class Decimation:
         return out
 
     def _beside_gaps(self, series: Array, gap: NDArray[np.bool_], begin: int, end: int) -> Array:
-        """A series with gaps, which are where `gap` is True, decimated, shape (end - begin,)."""
-        out = np.full(end - begin, np.nan)
+        """Series whose gaps are all where `gap` is True, decimated, shape (end - begin, c)."""
+        if not gap.any():
+            return self.decimated(series, begin, end)
+        out = np.full((end - begin, series.shape[1]), np.nan)
         if gap.all():
             return out
         own, factor, reach = self.wanted(begin, end), self.factor, SPAN * self.factor
         at = self.before + factor * np.arange(begin, end) - own.start
-        within = self.decimated(interpolate_gaps_linearly(series)[:, None], begin, end)[:, 0]
+        within = self.decimated(np.column_stack([interpolate_gaps_linearly(one) for one in series.T]), begin, end)
         for first, stop in gaps_in(~gap):
             inside = (at >= first) & (at < stop)
             out[inside] = within[inside]
@@ -229,9 +240,7 @@ class Decimation:
                 if gap_there and near.any():
                     out[near] = _estimated(samples[:count], distance[near], factor)
         for first, stop in gaps_in(gap):
-            if is_short_gap(
-                stop - first, factor
-            ):  # it would have been filled, but for something fast that happened there
+            if is_short_gap(stop - first, factor):  # it would be filled, but for something fast that happened there
                 out[(at > first - ABOUT_FAST * factor) & (at < stop + ABOUT_FAST * factor)] = np.nan
         return out
 
@@ -279,12 +288,12 @@ def _weights_at_end(places: NDArray[np.intp], factor: int) -> Array:
 
 
 def _estimated(samples: Array, places: NDArray[np.intp], factor: int) -> Array:
-    """A series at places in a run of its samples, counted from the first, shape (m,); NaN where noise is too large."""
+    """Series at places in a run of their samples, counted from the first, (m, c); NaN where noise is too large."""
     band = (1 - ROLL_OFF) / (2 * factor)
-    weights = _weights(places.astype(np.float64).tobytes(), samples.size, band, BAND_NOISE)
-    level = float(samples.mean())
+    weights = _weights(places.astype(np.float64).tobytes(), len(samples), band, BAND_NOISE)
+    level = samples.mean(axis=0)
     noisy = factor * np.sum(weights**2, axis=1) > MOST_NOISE
-    return np.where(noisy, np.nan, level + weights @ (samples - level))
+    return np.where(noisy[:, None], np.nan, level + weights @ (samples - level))
 
 
 def _beside_end(series: Array, places: Array) -> Array:
@@ -299,7 +308,7 @@ def _beside_end(series: Array, places: Array) -> Array:
 @lru_cache(maxsize=32)  # all channels of a record have the same ends and gaps, and are asked one after the other
 def _weights(places: bytes, count: int, band: float, noise: float) -> Array:
     """`band_limited_weights` for places in a form that can be remembered."""
-    return band_limited_weights(np.frombuffer(places), np.arange(count), band=band, noise=noise)
+    return band_limited_weights(np.frombuffer(places), count, band=band, noise=noise)
 
 
 def ends_between_samples(values: Array, factor: int) -> tuple[float, float]:

@@ -13,10 +13,11 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from aerobalance.recording.channel import Array
-from aerobalance.recording.decimation import BAND_NOISE, ROLL_OFF, band_limited_weights, is_short_gap
+from aerobalance.recording.decimation import BAND_NOISE, ROLL_OFF, alike_in_gaps, is_short_gap
 from aerobalance.recording.noise import white_noise
 from aerobalance.recording.resampling import gaps_in
 
@@ -51,50 +52,91 @@ SETTINGS: Final = ShortGapSettings()
 """Settings that are used."""
 
 
-def short_gaps_filled(values: Array, factor: int) -> Array:
-    """Return readings with their short gaps filled, shape (n,); the others are left.
+def short_gaps_filled(table: Array, factor: int) -> Array:
+    """Return readings of c channels with their short gaps filled, shape (n, c); the others are left.
 
     Parameters
     ----------
-    values
-        Readings, band-limited to what decimation by the factor keeps, and white noise, shape (n,); NaN where missing.
+    table
+        Readings, band-limited to what decimation by the factor keeps, and white noise, (n, c); NaN where missing.
     factor
         Factor by which they are to be decimated.
     """
-    missing = np.isnan(values)
-    gaps = [(first, last) for first, last in gaps_in(missing) if is_short_gap(last - first, factor)]
-    known = values[~missing]
-    if not gaps or known.size < 2 * SETTINGS.reach * factor:
-        return values
-    noise = np.hypot(white_noise(values), SETTINGS.exact * float(known.std()))
-    filled, reach = values.copy(), SETTINGS.reach * factor
-    for first, last in gaps:
-        window = slice(max(first - reach, 0), last + reach)
-        present = ~missing[window]
-        if np.count_nonzero(present) < reach:
+    filled = table.copy()
+    for columns, missing in alike_in_gaps(table):
+        gaps = [(first, last) for first, last in gaps_in(missing) if is_short_gap(last - first, factor)]
+        known = table[~missing][:, columns]
+        if not gaps or len(known) < 2 * SETTINGS.reach * factor:
             continue
-        own = values[window][present]
-        level = float(own.mean())
-        weights, departures = _across(present.tobytes(), first - window.start, last - window.start, factor)
-        departure = departures @ (own - level)
-        unlikely = chdtri(departure.size, SETTINGS.chance) * noise**2
-        if float(np.max(np.sum(weights**2, axis=1))) <= SETTINGS.noise_gain and departure @ departure <= unlikely:
-            filled[first:last] = level + weights @ (own - level)
+        noise = np.array([white_noise(one) for one in known.T])
+        noise = np.hypot(noise, SETTINGS.exact * known.std(axis=0))
+        for gap in gaps:
+            _fill(filled, table, columns, missing=missing, gap=gap, factor=factor, noise=noise)
     return filled
 
 
-@lru_cache(maxsize=32)  # gaps of one length in the middle of a record have the same
-def _across(present: bytes, first: int, last: int, factor: int) -> tuple[Array, Array]:
+def _fill(
+    filled: Array,
+    table: Array,
+    columns: NDArray[np.intp],
+    *,
+    missing: NDArray[np.bool_],
+    gap: tuple[int, int],
+    factor: int,
+    noise: Array,
+) -> None:
+    """Fill one gap of columns that have all their gaps in common, in place, where nothing fast happened."""
+    first, last = gap
+    reach = SETTINGS.reach * factor
+    window = slice(max(first - reach, 0), last + reach)
+    present = ~missing[window]
+    if np.count_nonzero(present) < reach:
+        return
+    own = table[window][np.ix_(present, columns)]
+    level = own.mean(axis=0)
+    own -= level
+    weights, departures = _across(present, slice(first - window.start, last - window.start), factor)
+    if float(np.max(np.sum(weights**2, axis=1))) > SETTINGS.noise_gain:
+        return
+    usual = np.sum((departures @ own) ** 2, axis=0) <= chdtri(len(departures), SETTINGS.chance) * noise**2
+    filled[first:last, columns[usual]] = (level + weights @ own)[:, usual]
+
+
+def _across(present: NDArray[np.bool_], gap: slice, factor: int) -> tuple[Array, Array]:
     """Weights of the readings about a gap in what is missing, and in departures of those beside it from the others.
 
-    The departures are independent and have the variance of a reading's noise.
+    The departures are independent and have the variance of a reading's noise. With the inverse Q of the covariance of
+    all samples, those of a set s are expected to be -Q_ss^-1 Q_sk of the others, k: few equations for a short gap.
+
+    Parameters
+    ----------
+    present
+        Which samples of a window about the gap there are, shape (n,).
+    gap
+        Samples of the gap.
+    factor
+        Factor by which the readings are to be decimated.
     """
-    own = np.flatnonzero(np.frombuffer(present, dtype=np.bool_))
-    band = (1 - ROLL_OFF) / (2 * factor)
-    weights = band_limited_weights(np.arange(first, last), own, band=band, noise=BAND_NOISE)
+    inverse = _inverse_covariance(present.size, factor)
+    missing = ~present
+    whole = -np.linalg.solve(inverse[np.ix_(missing, missing)], inverse[np.ix_(missing, present)])
+    weights = np.asarray(whole[np.searchsorted(np.flatnonzero(missing), np.arange(gap.start, gap.stop))])
     width = max(int(SETTINGS.beside * factor), 1)
-    beside = (own >= first - width) & (own < last + width)
-    others = band_limited_weights(own[beside], own[~beside], band=band, noise=BAND_NOISE)
-    departures = np.zeros((len(others), own.size))
-    departures[:, beside], departures[:, ~beside] = np.eye(len(others)), -others
-    return weights, np.linalg.solve(np.linalg.cholesky(departures @ departures.T), departures)
+    near = np.zeros(present.size, dtype=np.bool_)
+    near[max(gap.start - width, 0) : gap.stop + width] = True
+    beside, unused, others = present & near, missing | near, present & ~near
+    expected = -np.linalg.solve(inverse[np.ix_(unused, unused)], inverse[np.ix_(unused, others)])
+    departures = np.zeros((np.count_nonzero(beside), present.size))
+    departures[:, beside] = np.eye(len(departures))
+    departures[:, others] = -expected[beside[unused]]
+    departures = departures[:, present]
+    return weights, np.asarray(np.linalg.solve(np.linalg.cholesky(departures @ departures.T), departures))
+
+
+@lru_cache(maxsize=8)  # the windows of all gaps but those near an end have few sizes
+def _inverse_covariance(count: int, factor: int) -> Array:
+    """Inverse of the covariance of samples of a series that fills the band, with noise, shape (count, count) [1]."""
+    twice = (1 - ROLL_OFF) / factor  # the band over half the sampling rate
+    covariance = twice * np.sinc(twice * np.arange(count))
+    samples = np.arange(count)
+    return np.asarray(np.linalg.inv(covariance[np.abs(samples[:, None] - samples)] + BAND_NOISE * np.eye(count)))
