@@ -7,7 +7,7 @@ taken off.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Final, Generic, NamedTuple, TypeVar
 
@@ -22,6 +22,7 @@ from aerobalance.estimation.checks.ground_witnesses import Witness, Witnesses
 from aerobalance.estimation.component_force import Fitted, Method, by_smoother, estimated
 from aerobalance.estimation.correlated_noise import NoiseMatrix, SharedNoise, as_expected, shared_noise
 from aerobalance.estimation.coupled_record import CoupledRecord
+from aerobalance.estimation.gap_levels import changed_in_gaps
 from aerobalance.estimation.independent_record import IndependentRecord, moves_along_axis
 from aerobalance.estimation.missing_readings import MissingReadings, filled_error
 from aerobalance.estimation.record import ComponentRecord
@@ -143,6 +144,13 @@ def forces_of(
     def estimated_with(name: str) -> ComponentForce:
         fit = fits.pop(name)
         found = fit.estimate(few=few, ground=ground.pop(name, NO_FINDINGS))
+        lost = ~fit.signal.reading.present
+        if record.has_gaps:
+            lost |= ~np.isfinite(record.loads).all(axis=1)
+        # when a sudden force came in a gap is not known
+        errors, steps = changed_in_gaps(found.values, found.steps, lost, fit.record.dynamics, interval=record.interval)
+        if errors:
+            found = replace(with_errors(found, *errors), steps=steps)
         if missing is not None:
             found = with_errors(found, missing.error(fit))
         if name in moved:
