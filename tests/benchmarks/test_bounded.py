@@ -130,6 +130,22 @@ def test_a_release_of_another_balance(stiffness: float, record, rng) -> None:
     assert ratio < 45
 
 
+@pytest.mark.parametrize(("share", "allowed"), [(1 / 1000, 3), (1 / 100, 10)])
+def test_single_missing_readings(share: float, allowed: float, record, rng) -> None:
+    """Of 6 s at 12.8 kHz: on its own clock each took 15 ms, a hundredth of them twenty times the force of the rest."""
+    rate, seconds = 12_800.0, 6.0
+    run = smooth_run(
+        rng, SOFT["4th-order roll-off, 60 Hz"], dynamics=T128, rate=rate, rms=300.0, noise=2.0, seconds=seconds
+    )[0]
+    values = run.channel("AF").values.copy()
+    values[rng.choice(values.size, round(share * values.size), replace=False)] = np.nan
+    ratio = of_force(recorded(values, rate=rate)) / of_force(run)
+    record(
+        f"{allowed} over time of a record that lacks 1 reading in {round(1 / share)}, over it", allowed / ratio, 1.0
+    )
+    assert ratio < 3 * allowed
+
+
 @pytest.mark.parametrize("name", ["five", "five beside gaps", "twenty", "59 of a square wave"])
 def test_each_further_step_takes_what_the_first_takes(name: str, record, rng) -> None:
     seconds = {"twenty": 12.0, "59 of a square wave": 6.0}.get(name, SECONDS)

@@ -123,11 +123,11 @@ def is_short_gap(samples: int, factor: int) -> bool:
 
 def alike_in_gaps(table: Array) -> Iterator[tuple[NDArray[np.intp], NDArray[np.bool_]]]:
     """Yield the columns of a table (n, c) that miss the same samples, and where these are, shape (n,)."""
-    missing = np.isnan(table)
-    _, which = np.unique(missing, axis=1, return_inverse=True)
-    for group in np.unique(which):
-        columns = np.flatnonzero(which == group)
-        yield columns, missing[:, columns[0]]
+    groups: dict[bytes, list[int]] = {}
+    for place, missing in enumerate(np.isnan(table).T):
+        groups.setdefault(missing.tobytes(), []).append(place)
+    for missing_there, columns in groups.items():
+        yield np.array(columns), np.frombuffer(missing_there, dtype=np.bool_)
 
 
 @dataclass(frozen=True, slots=True)
