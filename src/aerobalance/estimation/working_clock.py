@@ -6,9 +6,9 @@ stays white on the slower clock (`aerobalance.recording.decimation`), the load i
 response to a step is filtered as the readings are, so that prior, likelihood and uncertainty are the same. The cost of
 an estimate is proportional to the number of samples, and is smaller by the ratio of the clocks.
 
-All of the record is examined first: where the load has frequencies above that band, or more samples are missing, wild,
-stuck or clipped than a few, the record keeps its clock. A record that is one part keeps it too
-(`aerobalance.estimation.force`). Of a few, short gaps are filled before they are decimated
+All of the record is examined first: where the load has frequencies above that band, or its gaps are very many, the
+record keeps its clock. A record that is one part and has few gaps keeps it too (`aerobalance.estimation.force`). Gaps
+are where samples are missing, wild, stuck or clipped: short ones are filled before they are decimated
 (`aerobalance.recording.short_gaps`), and long ones are gaps of the slower clock.
 """
 
