@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from aerobalance.recording import short_gaps
+from aerobalance.recording import resampling, short_gaps
 from aerobalance.recording.decimation import ROLL_OFF, Decimation, decimation_filter, is_short_gap
+from aerobalance.recording.resampling import interpolate_gaps
 from aerobalance.recording.short_gaps import SETTINGS, short_gaps_filled
 from helpers.cable_cut import T128
 from seeds import trials
@@ -162,3 +163,15 @@ def test_pieces_of_a_record_with_gaps_are_those_of_the_whole(rng: np.random.Gene
         part = decimation.decimated(values[own, None], begin, end)[:, 0]
         # as in `test_decimation`: transforms of other lengths
         np.testing.assert_allclose(part, whole[begin:end], rtol=0, atol=1e-6)
+
+
+def test_many_gaps_of_one_length_are_predicted_as_each_alone(rng: np.random.Generator, monkeypatch) -> None:
+    """The inverse of the covariance of a whole window gives what the equations of each gap's own readings give."""
+    values = np.cumsum(rng.normal(size=(6000, 2)), axis=0)
+    for length in (1, 3):
+        begins = rng.choice(np.arange(5, 5990, 7), 60, replace=False)
+        values[(begins[:, None] + np.arange(length)).ravel(), length // 2] = np.nan
+    found = interpolate_gaps(values)
+    monkeypatch.setattr(resampling, "OFTEN", 10_000)
+    # readings are exact to 1e-9 of the variance: that is the condition of the equations, whose rounding is 2e-16
+    np.testing.assert_allclose(found, interpolate_gaps(values), rtol=0, atol=1e-6 * np.nanstd(values))

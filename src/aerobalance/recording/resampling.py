@@ -33,6 +33,9 @@ AROUND: Final = 200
 PLACES: Final = 6
 """Decimal places of a sampling interval beyond which a place is rounding."""
 
+OFTEN: Final = 16
+"""Gaps of one length from which on the inverse of their window is worth its time: that of some ten solutions."""
+
 EXACT: Final = 1e-9
 """Share of a channel's variance that its samples are taken to be exact to when a gap is filled."""
 
@@ -207,13 +210,32 @@ def interpolate_gaps(loads: Array) -> Array:
         covariance = np.fft.irfft(power)[: column.size] / column.size
         if not covariance[0] > 0:
             continue  # constant: the straight line is all there is
-        for first, last in gaps_in(gap):
-            known = index[max(first - AROUND, 0) : last + AROUND]
-            known = known[~gap[known]]
-            across = covariance[np.abs(known[:, None] - known)] + EXACT * covariance[0] * np.eye(known.size)
-            weights = np.linalg.solve(across, covariance[np.abs(known[:, None] - np.arange(first, last))])
+        gaps = gaps_in(gap)
+        lengths, counts = np.unique([last - first for first, last in gaps], return_counts=True)
+        often = {int(length) for length, count in zip(lengths, counts, strict=True) if count >= OFTEN}
+        inverses: dict[int, Array] = {}
+        for first, last in gaps:
+            window = index[max(first - AROUND, 0) : last + AROUND]
+            lost = gap[window]
+            known = window[~lost]
+            if last - first in often and window.size == last - first + 2 * AROUND:
+                # with the inverse Q of the covariance of a whole window, few equations: -Q_mm^-1 Q_mk
+                if last - first not in inverses:
+                    inverses[last - first] = np.asarray(np.linalg.inv(_covariance_of(window, covariance)))
+                inverse = inverses[last - first]
+                weights = -np.linalg.solve(inverse[np.ix_(lost, lost)], inverse[np.ix_(lost, ~lost)]).T
+                weights = weights[:, np.searchsorted(window[lost], np.arange(first, last))]
+            else:
+                across = _covariance_of(known, covariance)
+                weights = np.linalg.solve(across, covariance[np.abs(known[:, None] - np.arange(first, last))])
             column[first:last] = mean + weights.T @ (column[known] - mean)
     return filled
+
+
+def _covariance_of(samples: NDArray[np.intp], covariance: Array) -> Array:
+    """Covariance of samples of a process of known autocovariance, which are exact to `EXACT`, shape (m, m)."""
+    exact = EXACT * covariance[0] * np.eye(samples.size)
+    return np.asarray(covariance[np.abs(samples[:, None] - samples)] + exact)
 
 
 def interpolate_gaps_linearly(values: Array, *, beside: int = 1) -> Array:
