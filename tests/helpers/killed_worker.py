@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import signal
 import threading
+import time
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -36,12 +37,17 @@ AT_WORK, ENDED = threading.Event(), threading.Event()
 
 @dataclass(frozen=True)
 class Held(Pages):
-    """The same, but beside the first record the work goes on until the scheduler has ended, and comes to nothing."""
+    """The same, but the work on the second run goes on until the scheduler has ended, and comes to nothing.
+
+    The scheduler may end when the record of the first is there: who asked for it writes it, after its page.
+    """
 
     records: Path = Path()
 
     def __call__(self, path: Path, work, found, warnings) -> None:
-        if any(self.records.glob("*.json")):
+        if self.log.exists():
+            while not any(self.records.glob("*.json")):
+                time.sleep(0.01)
             AT_WORK.set()
             ENDED.wait(60)
             raise ReadError("the worker ended")
