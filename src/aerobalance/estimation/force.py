@@ -47,7 +47,7 @@ from aerobalance.recording.part_warnings import PartWarnings
 from aerobalance.recording.parts import LongRecord, Part
 from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.resampling import interpolate_gaps
+from aerobalance.recording.resampling import gaps_in, interpolate_gaps
 
 MANY_GAPS: Final = 16
 """Gaps of a channel from which on a record of one part is estimated on a slower clock as well: its own smoother needs
@@ -169,8 +169,7 @@ class ForceWork:
         """Whether a channel of a record that is one part has so many gaps that they would take most of the time."""
         given = self.record.part(0, self.record.samples)
         recording = given.recording if isinstance(given, Loads) else given
-        begins = (np.count_nonzero(np.diff(np.isnan(one.values), prepend=False)) / 2 for one in recording)
-        return bool(max(begins, default=0) > MANY_GAPS)
+        return any(len(gaps_in(np.isnan(one.values))) > MANY_GAPS for one in recording)
 
     def parts(self) -> Iterator[ForcePart]:
         """Forces of the record [N, N*m], part by part; a record that is short enough is one part.

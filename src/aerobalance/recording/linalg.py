@@ -67,3 +67,18 @@ def table_covariance(table: Array) -> Array:
     """
     change = table - np.full(len(table), 1 / len(table)) @ table
     return np.asarray(change.T @ change / (len(table) - 1))
+
+
+def conditional_weights(inverse: Array, unknown: NDArray[np.bool_], known: NDArray[np.bool_]) -> Array:
+    """Weights of known numbers in the expectation of unknown ones, -Q_uu^-1 Q_uk, shape (u, k) [1].
+
+    With the inverse covariance of all of them found once, each choice of few unknown ones takes few equations.
+
+    Parameters
+    ----------
+    inverse
+        Inverse Q of the covariance of all n numbers, Gaussian and of mean zero, shape (n, n).
+    unknown, known
+        Which are unknown and which known; together they are all, shape (n,).
+    """
+    return np.asarray(-np.linalg.solve(inverse[np.ix_(unknown, unknown)], inverse[np.ix_(unknown, known)]))

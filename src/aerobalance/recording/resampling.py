@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import FitError
+from aerobalance.recording.linalg import conditional_weights
 
 FINE: Final = 4
 """Steps into which a sampling interval is divided where readings drive a balance between samples."""
@@ -219,12 +220,10 @@ def interpolate_gaps(loads: Array) -> Array:
             lost = gap[window]
             known = window[~lost]
             if last - first in often and window.size == last - first + 2 * AROUND:
-                # with the inverse Q of the covariance of a whole window, few equations: -Q_mm^-1 Q_mk
                 if last - first not in inverses:
                     inverses[last - first] = np.asarray(np.linalg.inv(_covariance_of(window, covariance)))
-                inverse = inverses[last - first]
-                weights = -np.linalg.solve(inverse[np.ix_(lost, lost)], inverse[np.ix_(lost, ~lost)]).T
-                weights = weights[:, np.searchsorted(window[lost], np.arange(first, last))]
+                own = (window >= first) & (window < last)
+                weights = conditional_weights(inverses[last - first], lost, ~lost)[own[lost]].T
             else:
                 across = _covariance_of(known, covariance)
                 weights = np.linalg.solve(across, covariance[np.abs(known[:, None] - np.arange(first, last))])

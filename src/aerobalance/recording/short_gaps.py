@@ -18,6 +18,7 @@ from scipy.special import chdtri
 
 from aerobalance.recording.channel import Array
 from aerobalance.recording.decimation import BAND_NOISE, ROLL_OFF, alike_in_gaps, is_short_gap
+from aerobalance.recording.linalg import conditional_weights
 from aerobalance.recording.noise import white_noise
 from aerobalance.recording.resampling import gaps_in
 
@@ -105,8 +106,7 @@ def _fill(
 def _across(present: NDArray[np.bool_], gap: slice, factor: int) -> tuple[Array, Array]:
     """Weights of the readings about a gap in what is missing, and in departures of those beside it from the others.
 
-    The departures are independent and have the variance of a reading's noise. With the inverse Q of the covariance of
-    all samples, those of a set s are expected to be -Q_ss^-1 Q_sk of the others, k: few equations for a short gap.
+    The departures are independent and have the variance of a reading's noise.
 
     Parameters
     ----------
@@ -119,16 +119,16 @@ def _across(present: NDArray[np.bool_], gap: slice, factor: int) -> tuple[Array,
     """
     inverse = _inverse_covariance(present.size, factor)
     missing = ~present
-    whole = -np.linalg.solve(inverse[np.ix_(missing, missing)], inverse[np.ix_(missing, present)])
-    weights = np.asarray(whole[np.searchsorted(np.flatnonzero(missing), np.arange(gap.start, gap.stop))])
+    own = np.zeros(present.size, dtype=np.bool_)
+    own[gap] = True
+    weights = conditional_weights(inverse, missing, present)[own[missing]]
     width = max(int(SETTINGS.beside * factor), 1)
     near = np.zeros(present.size, dtype=np.bool_)
     near[max(gap.start - width, 0) : gap.stop + width] = True
     beside, unused, others = present & near, missing | near, present & ~near
-    expected = -np.linalg.solve(inverse[np.ix_(unused, unused)], inverse[np.ix_(unused, others)])
     departures = np.zeros((np.count_nonzero(beside), present.size))
     departures[:, beside] = np.eye(len(departures))
-    departures[:, others] = -expected[beside[unused]]
+    departures[:, others] = -conditional_weights(inverse, unused, others)[beside[unused]]
     departures = departures[:, present]
     return weights, np.asarray(np.linalg.solve(np.linalg.cholesky(departures @ departures.T), departures))
 
