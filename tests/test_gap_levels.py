@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 import aerobalance as ab
 from aerobalance.estimation.gap_levels import CHANGED
+from aerobalance.recording.components import COMPONENTS
+from faults.scene import Clock, band
 from faults.six import SIX, SixScene, balance, recording_of
 from helpers.cable_cut import T128
 from seeds import trials
@@ -14,26 +18,28 @@ from seeds import trials
 RATE, SAMPLES, HEIGHT = 1600.0, 8000, 400.0
 
 
-def run_with_gap(rng: np.random.Generator, gap: int, *, height: float) -> tuple[np.ndarray, ab.Recording, slice]:
+def run_with_gap(
+    rng: np.random.Generator, gap: int, *, height: float, samples: int = SAMPLES
+) -> tuple[np.ndarray, ab.Recording, slice]:
     """A force of 20 N rms to 60 Hz with a step at any time in a gap, the readings, and where the gap is."""
-    time, frequency = np.arange(SAMPLES) / RATE, np.fft.rfftfreq(SAMPLES, 1 / RATE)
-    force = np.fft.irfft(np.fft.rfft(rng.normal(size=SAMPLES)) * ((frequency > 0) & (frequency < 60)), SAMPLES)
+    time, frequency = np.arange(samples) / RATE, np.fft.rfftfreq(samples, 1 / RATE)
+    force = np.fft.irfft(np.fft.rfft(rng.normal(size=samples)) * ((frequency > 0) & (frequency < 60)), samples)
     force *= 20.0 / force.std()
-    load = np.fft.irfft(np.fft.rfft(force) * T128.response(frequency), SAMPLES)
-    first = int(rng.integers(2500, 5000))
+    load = np.fft.irfft(np.fft.rfft(force) * T128.response(frequency), samples)
+    first = int(rng.integers(0.3 * samples, 0.6 * samples))
     instant = (first + rng.uniform(1, gap - 1)) / RATE
-    load += height * T128.step_response(time - instant) + 2.0 * rng.normal(size=SAMPLES)
+    load += height * T128.step_response(time - instant) + 2.0 * rng.normal(size=samples)
     load[first : first + gap] = np.nan
     return force + height * (time >= instant), ab.Recording.from_arrays(time, {"AF": load}), slice(first, first + gap)
 
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")  # the gap is told
-@pytest.mark.parametrize("gap", [40, 400])
-def test_a_step_at_any_time_in_a_gap_is_covered(gap: int, rng) -> None:
-    """Of 25 ms, one and a half periods, and of 250 ms, after which nothing rings any more."""
+@pytest.mark.parametrize(("gap", "samples"), [(40, SAMPLES), (400, SAMPLES), (400, 2400)])
+def test_a_step_at_any_time_in_a_gap_is_covered(gap: int, samples: int, rng) -> None:
+    """Of 25 ms, one and a half periods, and of 250 ms, after which nothing rings any more, be it a sixth of a record."""
     squares, count = [], trials(4, 60)
     for _ in range(count):
-        truth, run, there = run_with_gap(rng, gap, height=HEIGHT)
+        truth, run, there = run_with_gap(rng, gap, height=HEIGHT, samples=samples)
         found = ab.estimate_force(run, T128).only
         assert CHANGED in found.budget
         z = (found.values - truth) / found.uncertainty
@@ -61,8 +67,19 @@ def test_gaps_without_a_step_are_as_uncertain_as_before(rng) -> None:
 @pytest.mark.soak(first=0)
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
 def test_coupled_components_have_it_where_any_of_them_lacks_its_reading(rng) -> None:
-    record = SixScene().record(rng)
+    """A sudden force along NF while PM is not read for 30 ms: NF is as uncertain there, and the others are calm."""
+    clock = replace(SIX, samples=8000)
+    first, stop = 3000, 3240
+    instant = (first + rng.uniform(40, 200)) / clock.rate
+
+    def stepped(clock: Clock, rng: np.random.Generator) -> np.ndarray:
+        back = 0.5 + 0.5 * np.cos(np.pi * np.clip((clock.time - clock.end - 0.1) / 1.5, 0, 1))
+        return 0.3 * (clock.time > instant) * back + band(0.005, 0, 100.0)(clock, rng)
+
+    forces = [stepped, *[band(0.005, 0, 100.0)] * 5]
+    record = SixScene(forces=forces, clock=clock).record(rng)
     values = np.column_stack(list(record.columns.values()))
-    values[2000:2040, 0] = np.nan
-    force = ab.estimate_force(recording_of(values, SIX.rate), balance())
-    assert all(CHANGED not in one.budget for one in force.values())
+    values[first:stop, COMPONENTS.index("PM")] = np.nan
+    force = ab.estimate_force(recording_of(values, clock.rate), balance())
+    assert CHANGED in force["NF"].budget
+    assert not any(CHANGED in force[name].budget for name in COMPONENTS if name != "NF")

@@ -38,7 +38,8 @@ class GapLevelSettings:
     larger
         Change of the force across a gap over the scatter of changes across as much time elsewhere in the record.
     fewest
-        Such changes side by side that a record has at least: of fewer their scatter is not known.
+        Such changes that find room side by side in a record from which on their scatter is told by them; in a shorter
+        one it is that of two values of the force, which is no less.
     """
 
     shortest: float = 0.25
@@ -81,10 +82,10 @@ def changed_in_gaps(
         within = [one for one in steps if first <= one.instant / interval <= last + SETTINGS.shortest * period]
         stop = max([last, *(int(one.instant / interval) + 1 for one in within)])
         across = stop - first
-        usual = _usual_change(smooth, across, period)
         before, after = force[max(first - period, 0) : first], force[stop : stop + period]
-        if usual is None or not (before.size and after.size):
+        if not (before.size and after.size):
             continue
+        usual = _usual_change(smooth, slice(first, stop), period)
         change = float(after.mean() - before.mean())
         if abs(change) <= SETTINGS.larger * usual:
             continue
@@ -106,14 +107,13 @@ def changed_in_gaps(
     return (Noise(CHANGED, dynamics.component, deviation, spectrum),), tuple(known)
 
 
-def _usual_change(smooth: Array, across: int, period: int) -> float | None:
-    """Scatter of the changes of a force from its mean in a period to that in another, so many samples later [N].
-
-    None where the record has too few of them.
-    """
-    span = across + 2 * period
-    if smooth.size < SETTINGS.fewest * span:
-        return None
+def _usual_change(smooth: Array, gap: slice, period: int) -> float:
+    """Scatter of the changes of a force from its mean in a period to that in another, a gap's length later [N]."""
+    across = gap.stop - gap.start
+    if smooth.size < SETTINGS.fewest * (across + 2 * period):
+        sides = smooth[: gap.start], smooth[gap.stop :]
+        departures = np.concatenate([side - np.median(side) for side in sides if side.size])
+        return float(np.sqrt(2) * SCATTER * np.median(np.abs(departures)))
     summed = np.concatenate([[0.0], np.cumsum(smooth)])
     means = (summed[period:] - summed[:-period]) / period
     return float(SCATTER * np.median(np.abs(means[across + period :] - means[: -(across + period)])))
