@@ -401,11 +401,28 @@ def test_gaps_in_a_file_are_those_of_memory(rng, tmp_path: Path) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)
         found = work(read(tmp_path / "run.h5")).force()
-        with opened(tmp_path / "run.h5") as file:
-            read_ = work(file).force()
+    with warnings.catch_warnings(), opened(tmp_path / "run.h5") as file:
+        warnings.simplefilter("ignore", DataQualityWarning)
+        read_ = work(file).force()
     # the rate of the clock differs in its last digit, and with it where the search for the prior ends
     assert np.max(np.abs(found.only.values - read_.only.values) / found.only.uncertainty) < 0.1
     assert [doubt.text for doubt in found.doubts] == [doubt.text for doubt in read_.doubts]
+
+
+def test_missing_readings_of_a_file_are_told_once_with_their_number(rng, tmp_path: Path) -> None:
+    """They are read piece by piece, with what lies about each piece: every one counts once."""
+    _, load = force_and_load(rng, steps=())
+    twice = np.tile(load, 2)  # its period is that of the record
+    twice[500::700] = np.nan
+    write_recording(tmp_path / "run.h5", recording(twice))
+    with warnings.catch_warnings(record=True) as caught, opened(tmp_path / "run.h5") as file:
+        warnings.simplefilter("always", DataQualityWarning)
+        slow = ForceWork(file, dynamics_of(T128))
+        assert slow.working.every > 4
+        assert file.samples > 2 * working_clock.SETTINGS.at_once
+        slow.force()
+    (told,) = (str(one.message) for one in caught if "missing (empty" in str(one.message))
+    assert f"{len(range(500, 2 * SAMPLES, 700))} of {2 * SAMPLES} samples of AF are missing" in told
 
 
 def test_short_records_keep_their_clock(rng) -> None:

@@ -167,7 +167,8 @@ class ForceWork:
 
     def _has_many_gaps(self) -> bool:
         """Whether a channel of a record that is one part has so many gaps that they would take most of the time."""
-        given = self.record.part(0, self.record.samples)
+        with kept_warnings():  # given when the forces are estimated
+            given = self.record.part(0, self.record.samples)
         recording = given.recording if isinstance(given, Loads) else given
         return any(len(gaps_in(np.isnan(one.values))) > MANY_GAPS for one in recording)
 

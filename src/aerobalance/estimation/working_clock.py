@@ -31,7 +31,7 @@ from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import is_gauge
 from aerobalance.recording.decimation import ROLL_OFF, Decimation
 from aerobalance.recording.doubts import Doubt
-from aerobalance.recording.errors import FitError, kept_warnings
+from aerobalance.recording.errors import FitError, OfMissing, kept_warnings, warn_quality
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.parts import Extent, LongRecord
 from aerobalance.recording.progress import PROGRESS
@@ -132,6 +132,19 @@ class RecordAsItIs:
         return self.made_ready(self.record.part(begin, end))
 
 
+class _Piece(NamedTuple):
+    """Samples of the slower clock with balance loads, and what there is of the record's own samples there.
+
+    These are their time stamps and outliers, and how many readings of each channel are missing, where the record says
+    that some are.
+    """
+
+    given: Recording | Loads
+    stamps: Array
+    outliers: Outliers
+    missing: Counter[str]
+
+
 class _Read(NamedTuple):
     """Of a part: its first sample and its clock in the record, and the doubts about its readings."""
 
@@ -203,9 +216,10 @@ class DecimatedRecord:
         if len(edges) > 2 and edges[-1] - edges[-2] < step // 2:
             # a short piece is joined to the one before: the noise of its readings could not be estimated
             del edges[-2]
-        pieces, stamps, found = zip(*side_by_side(self._piece, pairwise(edges)), strict=True)
+        pieces, stamps, found, missing = zip(*side_by_side(self._piece, pairwise(edges)), strict=True)
         joined, whole, outliers = _joined(pieces), np.concatenate(stamps), Outliers.joined(found)
         del pieces
+        self._tell_missing(sum(missing, Counter[str]()), samples=whole.size)
         first = self.decimation.span(begin, end).start
         recording = joined.recording if isinstance(joined, Loads) else joined
         clock = {name: replace(one, values=np.zeros(0)) for name, one in recording.channels.items()}
@@ -238,19 +252,33 @@ class DecimatedRecord:
         ((begin, recording, _),) = self._read
         return recording, slice(first - begin, last - begin)
 
-    def _piece(self, ends: tuple[int, int]) -> tuple[Given, Array, Outliers]:
-        """Samples of the slower clock with balance loads; time stamps and outliers of the record's samples there."""
+    def _tell_missing(self, missing: Counter[str], *, samples: int) -> None:
+        """Say once of a part what was said of its pieces: how many readings of which channels are missing."""
+        for count in dict.fromkeys(missing.values()):
+            names = ", ".join(name for name, one in missing.items() if one == count)
+            warn_quality(OfMissing.readings(self.name, names, count, samples))
+
+    def _piece(self, ends: tuple[int, int]) -> _Piece:
+        """Read and decimate a piece of a part."""
         begin, end = ends
-        wanted = self.decimation.wanted(begin, end)
-        given = self.made_ready(self.record.part(wanted.start, wanted.stop))
+        wanted, span = self.decimation.wanted(begin, end), self.decimation.span(begin, end)
+        there = slice(span.start - wanted.start, span.stop - wanted.start)
+        with kept_warnings() as said:
+            read = self.record.part(wanted.start, wanted.stop)
+        missing = Counter[str]()
+        if any(isinstance(text, OfMissing) for text in said):
+            channels = read.recording if isinstance(read, Loads) else read
+            missing = +Counter({one.name: int(np.count_nonzero(one.missing[there])) for one in channels})
+        for text in said:
+            if not isinstance(text, OfMissing):
+                warn_quality(text)
+        given = self.made_ready(read)
         outliers = outliers_of(given, self.components)
         given = self._without_short_gaps(without_outliers(given, outliers, self.components, clipped=True))
         recording = corrected(given.recording if isinstance(given, Loads) else given)
-        span = self.decimation.span(begin, end)
-        there = slice(span.start - wanted.start, span.stop - wanted.start)
         stamps, outliers = recording.stamps[there], outliers.within(there)
         if not isinstance(given, Loads):
-            return self._recording(recording, begin, end), stamps, outliers
+            return _Piece(self._recording(recording, begin, end), stamps, outliers, missing)
         first = self.decimation.before + begin * self.every - wanted.start
         rows = slice(first, first + (end - begin - 1) * self.every + 1, self.every)
         values = self.decimation.decimated(given.values, begin, end)
@@ -267,7 +295,7 @@ class DecimatedRecord:
             stuck=None,
             clipped=None,
         )
-        return felt, stamps, outliers
+        return _Piece(felt, stamps, outliers, missing)
 
     def _without_short_gaps(self, given: Given) -> Given:
         """The readings with short gaps filled, of loads and of the ground's motion; of others all by straight lines.

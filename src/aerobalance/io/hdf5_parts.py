@@ -19,7 +19,7 @@ from aerobalance.io.measure import beyond_all_measure, take_out
 from aerobalance.io.series import Fills
 from aerobalance.io.table import channels_of, table_from, warn_of_limit, warn_of_missing
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.errors import ReadError, warn_quality
+from aerobalance.recording.errors import OfMissing, ReadError, warn_quality
 from aerobalance.recording.parts import Extent, LateMeans, mean_over
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.units import conversion
@@ -111,8 +111,10 @@ class Hdf5Record:
         missing = end - begin - rows.size
         if missing:
             warn_quality(
-                f"{self.name}: {missing} sample(s) are missing in {int(np.count_nonzero(np.diff(rows) > 1))} gap(s); "
-                "the model bridges them, with a larger uncertainty"
+                OfMissing(
+                    f"{self.name}: {missing} sample(s) are missing in {int(np.count_nonzero(np.diff(rows) > 1))} "
+                    "gap(s); the model bridges them, with a larger uncertainty"
+                )
             )
         last = max(self.samples - 1, 1)
         return Recording(

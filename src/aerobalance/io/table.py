@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from aerobalance.io.columns import RawColumn, RawColumns
 from aerobalance.io.measure import within_measure
 from aerobalance.recording.channel import Array, Channel, SensorSpec
-from aerobalance.recording.errors import FitError, ReadError, warn_quality
+from aerobalance.recording.errors import FitError, OfMissing, ReadError, warn_quality
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.units import ALLOWED, conversion_for, expected_unit
 
@@ -282,10 +282,7 @@ def warn_of_missing(path: Path, channel: Channel) -> None:
         return
     count = int(np.count_nonzero(channel.missing))
     if count:
-        warn_quality(
-            f"{path.name}: {count} of {channel.values.size} samples of {channel.name} are missing (empty or NaN); "
-            "the model bridges them, and the uncertainty is larger there"
-        )
+        warn_quality(OfMissing.readings(path.name, channel.name, count, channel.values.size))
 
 
 def warn_of_limit(path: Path, channel: Channel) -> None:

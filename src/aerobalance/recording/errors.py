@@ -120,6 +120,20 @@ class DataQualityWarning(UserWarning):
     """Data that can be used but not trusted fully; the message says what it does to the result."""
 
 
+class OfMissing(str):
+    """What is said of missing readings of some samples; who puts these together says it of all of them."""
+
+    __slots__ = ()
+
+    @classmethod
+    def readings(cls, name: str, channels: str, count: int, samples: int) -> OfMissing:
+        """Say how many readings of channels of a record are missing in rows that are there, or in none."""
+        return cls(
+            f"{name}: {count} of {samples} samples of {channels} are missing (empty or NaN); the model bridges them, "
+            "and the uncertainty is larger there"
+        )
+
+
 _kept: ContextVar[list[str] | None] = ContextVar("kept", default=None)
 
 
