@@ -34,12 +34,11 @@ from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import FitError, OfMissing, kept_warnings, warn_quality
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.parts import Extent, LongRecord
-from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import interpolate_gaps_linearly
 from aerobalance.recording.sensors import corrected
 from aerobalance.recording.short_gaps import short_gaps_filled
-from aerobalance.recording.side_by_side import WORKERS, side_by_side
+from aerobalance.recording.side_by_side import side_by_side
 
 Given = Recording | Loads
 MadeReady = Callable[[Given], Given]
@@ -419,8 +418,7 @@ def slower_clock(
                 given = made_ready(_with_noise(record.part(begin, begin + length), noise))
                 return look.at(given, dynamics.components)
 
-            for some in PROGRESS.each([begins[at : at + WORKERS] for at in range(0, len(begins), WORKERS)], "look"):
-                look.add(side_by_side(looked, some))
+            look.add(side_by_side(looked, begins, what="look"))
     except FitError:
         return None  # raised again, with its reason, when the forces are estimated
     for factor in fitting:

@@ -39,7 +39,6 @@ from aerobalance.estimation.spectra.steady_tones import without_tones
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import DOUBTED, Assumption, Doubt
-from aerobalance.recording.side_by_side import both
 
 ADVICE: Final = "identify the dynamics again"
 """What to do where the modes are others."""
@@ -388,21 +387,15 @@ def _spoken(
     """
     if ringing is None:
         return None
-    seen = ringing
-
-    def moved() -> OtherShapes | None:
-        first = int(within.start)
-        return moved_alone(seen, record.dynamics) or one_moved(seen, record, parts, readings, first=first)
-
-    # of most records nothing is found, and both are asked
     far = any(
         (part.learned is not None and part.learned.color is not None)
         or any(doubt.kind == "unexplained" for doubt in part.doubts)
         for part in parts.values()
     )
-    other, one = both(lambda: other_shapes(seen, record.dynamics, far=far), moved)
+    other = other_shapes(ringing, record.dynamics, far=far)
     if other is None:
-        return one
+        first = int(within.start)
+        return moved_alone(ringing, record.dynamics) or one_moved(ringing, record, parts, readings, first=first)
     # a tone is narrower than any resonance, and looks like one that is elsewhere
     above = SETTINGS.tones_above * record.dynamics.modes[0].natural_frequency * record.interval
     ringing = RingingSpectra.of(record, without_tones(loads[within], above=above), parts)
