@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import chdtri
 
 from aerobalance.app.cli import main
 from aerobalance.app.commands.shared import opened
@@ -19,8 +20,9 @@ from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.dynamics.modal import Mode
 from aerobalance.estimation import working_clock
 from aerobalance.estimation.force import ForceWork
-from aerobalance.estimation.force_parts import Division
+from aerobalance.estimation.force_parts import DIVISION, Division
 from aerobalance.estimation.forces import ForceSettings
+from aerobalance.estimation.record_look import FREEDOM, Look, _of_block
 from aerobalance.estimation.record_look import SETTINGS as LOOK
 from aerobalance.io import read, write_recording
 from aerobalance.io.dynamics_file import write_dynamics
@@ -443,6 +445,44 @@ def test_many_gaps_put_a_record_of_one_part_on_a_slower_clock(rng) -> None:
     assert rms((found.values - truth) / found.uncertainty) == pytest.approx(1.0, abs=0.15)
     short = ForceWork(recording(load[:20_000]), dynamics_of(T128))  # its ends are too much of it
     assert short.working.every == 1
+
+
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+def test_many_gaps_are_reason_enough_for_a_clock_half_as_fast(rng) -> None:
+    """A record of 1600 Hz keeps its clock, as little is gained; but each gap costs as much as a second of it."""
+    scores, over = [], []
+    for _ in range(3):
+        truth, load = (one[::8] for one in force_and_load(rng, steps=()))
+        load = load.copy()
+        time = np.arange(load.size) * 8 / RATE
+        for division in (SHORT, DIVISION):
+            assert of_load(load, time, division).working.every == 1
+        own = of_load(load, time).force().only
+        load[rng.choice(load.size, 100, replace=False)] = np.nan
+        for division in (SHORT, DIVISION):
+            assert of_load(load, time, division).working.every == 2
+        found = of_load(load, time).force().only
+        scores.append(rms((found.values - truth) / found.uncertainty))
+        over.append(np.median(found.uncertainty) / np.median(own.uncertainty))
+    assert np.median(scores) == pytest.approx(1.0, abs=0.15)
+    # of 100 readings each fills one, and two of the slower clock have 1.46 times the variance of others: 1 % in all
+    assert np.median(over) == pytest.approx(1.01, abs=0.05)
+
+
+def of_load(load: np.ndarray, time: np.ndarray, division: Division = DIVISION) -> ForceWork:
+    record = Recording.from_arrays(time, {"AF": load}, name="not so fast")
+    return ForceWork(record, dynamics_of(T128), division=division)
+
+
+def test_what_stands_out_of_few_segments_is_what_noise_does_not(rng) -> None:
+    """Of a block of all segments it is twice the level, and of fewer as improbable a density of noise alone."""
+    look = Look(RATE, above=1000.0, modes=(66.0,), factor=16)
+    bands = np.array([look._levels(rng.normal(size=LOOK.segment)).bands[0, 1:] for _ in range(400)])
+    # the variance of 25 000 densities of neighbours that hardly hang together is known to 2 %
+    assert np.var(bands) / np.mean(bands) ** 2 == pytest.approx(2 / FREEDOM, rel=0.08)
+    full = LOOK.block // LOOK.segment
+    assert _of_block(full) == pytest.approx(2.0, abs=0.01)
+    assert [_of_block(k) for k in (1, 2, 4)] == [chdtri(FREEDOM * k, LOOK.chance) / (FREEDOM * k) for k in (1, 2, 4)]
 
 
 def test_noise_alone_is_no_reason_to_keep_it(rng) -> None:

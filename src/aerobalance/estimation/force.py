@@ -50,8 +50,8 @@ from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import gaps_in, interpolate_gaps
 
 MANY_GAPS: Final = 16
-"""Gaps of a channel from which on a record of one part is estimated on a slower clock as well: its own smoother needs
-15 ms for each and each component."""
+"""Gaps of a channel in a part from which on a record is estimated on a slower clock although it is one part, and on one
+that gains little else: its own smoother needs 8 to 30 ms for each and each component."""
 
 FEWEST_SLOWER: Final = 2048
 """Samples of the slower clock that such a record has at least: at its ends the forces are less well known on it."""
@@ -159,18 +159,24 @@ class ForceWork:
         ):
             return None
         if self.record.samples > self.division.length(self.dynamics):
-            return slower_clock(self.record, self.dynamics, self.made_ready)
+            slower = slower_clock(self.record, self.dynamics, self.made_ready)
+            if slower is not None:
+                return slower
         if not self._has_many_gaps():
             return None
-        slower = slower_clock(self.record, self.dynamics, self.made_ready)
+        slower = slower_clock(self.record, self.dynamics, self.made_ready, gaps=True)
         return slower if slower is not None and slower.samples >= FEWEST_SLOWER else None
 
     def _has_many_gaps(self) -> bool:
-        """Whether a channel of a record that is one part has so many gaps that they would take most of the time."""
+        """Whether a channel has so many gaps within the length of a part that they would take most of the time."""
+        samples, length = self.record.samples, self.division.length(self.dynamics)
         with kept_warnings():  # given when the forces are estimated
-            given = self.record.part(0, self.record.samples)
-        recording = given.recording if isinstance(given, Loads) else given
-        return any(len(gaps_in(np.isnan(one.values))) > MANY_GAPS for one in recording)
+            for begin in range(0, samples, length):
+                given = self.record.part(begin, min(begin + length, samples))
+                recording = given.recording if isinstance(given, Loads) else given
+                if any(len(gaps_in(np.isnan(one.values))) > MANY_GAPS for one in recording):
+                    return True
+        return False
 
     def parts(self) -> Iterator[ForcePart]:
         """Forces of the record [N, N*m], part by part; a record that is short enough is one part.

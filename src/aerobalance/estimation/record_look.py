@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cache
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import rfft
+from scipy.special import chdtri
 
 from aerobalance.balance.loads import Loads
 from aerobalance.estimation.checks.impossible_channels import is_of_ground
@@ -27,10 +29,12 @@ class LookSettings:
 
     Attributes
     ----------
+    chance
+        Probability that the density of a band in a block of noise alone is taken for a load: with all its segments it
+        is a chi-squared of some 135 degrees of freedom over their number, and stands out from twice the level on.
     stands_out
-        Spectral density of the readings over that of their noise from which on a load is taken to be there [1]: in one
-        block of samples, and in the mean of all blocks at least. With noise alone, the density of a band in a block is
-        a chi-squared of some 135 degrees of freedom over their number: 4 in 1e11 are above twice the level.
+        Spectral density of the readings over that of their noise from which on a load is taken to be there in the mean
+        of all blocks, at least [1].
     deviations
         Standard deviations of that mean, of noise alone, by which it must stand out as well: of few blocks a quarter
         is five of them, and one record of 6 s in a thousand had that.
@@ -42,7 +46,8 @@ class LookSettings:
         Gaps of a channel in a piece, at most, for a slower clock: in all, and of those that are not short beside it.
     """
 
-    stands_out: tuple[float, float] = (2.0, 1.25)
+    chance: float = 4e-11
+    stands_out: float = 1.25
     deviations: float = 7.0
     block: int = 1 << 14
     segment: int = 1 << 11
@@ -52,6 +57,9 @@ class LookSettings:
 
 SETTINGS: Final = LookSettings()
 """The settings in use."""
+
+FREEDOM: Final = 17.0
+"""Degrees of freedom of a band's density in a segment: fewer than its 32 numbers, as the window joins ordinates."""
 
 
 class Levels(NamedTuple):
@@ -63,10 +71,13 @@ class Levels(NamedTuple):
         Mean of each band, shape (blocks, bands).
     resonant
         Density at each natural frequency, shape (blocks, modes).
+    segments
+        Segments of each block.
     """
 
     bands: Array
     resonant: Array
+    segments: int
 
 
 class Piece(NamedTuple):
@@ -110,6 +121,7 @@ class Look:
     _power: dict[str, Array] = field(default_factory=dict)
     _least: dict[str, Array] = field(default_factory=dict)
     _blocks: dict[str, int] = field(default_factory=dict)
+    _segments: dict[str, int] = field(default_factory=dict)
     _gaps: tuple[NDArray[np.intp], ...] = ()
 
     @property
@@ -120,9 +132,9 @@ class Look:
 
     def _stands_out(self, name: str) -> float:
         """Density of the mean of all blocks of a load over that of its noise from which on a load is there [1]."""
-        least = SETTINGS.stands_out[1]
-        blocks = self._blocks[name]
-        return max(least, 1 + SETTINGS.deviations * np.sqrt(2 / (135 * blocks))) if blocks else least
+        least = SETTINGS.stands_out
+        segments = self._segments[name]
+        return max(least, 1 + SETTINGS.deviations * np.sqrt(2 / (FREEDOM * segments))) if segments else least
 
     @property
     def shown(self) -> tuple[float, ...]:
@@ -161,8 +173,9 @@ class Look:
         for piece in pieces:
             self._gaps += piece.gaps
             for name, levels in piece.levels.items():
-                bands, resonant = levels
-                self._highest = max(self._highest, self._edge(bands, SETTINGS.stands_out[0]))
+                bands, resonant, segments = levels
+                self._highest = max(self._highest, self._edge(bands, _of_block(segments)))
+                self._segments[name] = self._segments.get(name, 0) + segments * len(bands)
                 self._power[name] = self._power.get(name, np.zeros(bands.shape[1])) + bands.sum(axis=0)
                 least = resonant.min(axis=0, initial=np.inf)
                 self._least[name] = np.minimum(self._least.get(name, np.inf), least)
@@ -193,7 +206,7 @@ class Look:
             count = len(segments)
             if not count:
                 each = max(segment // 2 // SETTINGS.bands, 1)
-                return Levels(np.zeros((0, segment // 2 // each)), np.zeros((0, len(self.modes))))
+                return Levels(np.zeros((0, segment // 2 // each)), np.zeros((0, len(self.modes))), 1)
         level = segments.mean(axis=1, keepdims=True)
         spectrum = np.asarray(rfft((segments - level) * hann(segment)), dtype=np.complex128)[:, 1:]
         power = spectrum.real**2 + spectrum.imag**2
@@ -201,11 +214,11 @@ class Look:
         bands = power[:, : power.shape[1] // each * each].reshape(count, -1, each).mean(axis=2)
         lines = np.clip(np.round(np.array(self.modes) / self.rate * segment).astype(int) - 1, 0, power.shape[1] - 1)
         block = max(min(SETTINGS.block // segment, count), 1)
-        means = (
+        of_bands, resonant = (
             part[: count // block * block].reshape(-1, block, part.shape[1]).mean(axis=1)
             for part in (bands, power[:, lines])
         )
-        return Levels(*means)
+        return Levels(of_bands, resonant, block)
 
     def _edge(self, levels: Array, stands_out: float) -> float:
         """Upper edge of the highest band that is above the noise in any row of `levels` [Hz]; 0 if none is."""
@@ -216,3 +229,10 @@ class Look:
         """Level of the noise in every row of `levels`, shape (rows,)."""
         width = 0.5 * self.rate / levels.shape[1]
         return np.asarray(np.median(levels[:, int(np.ceil(self.above / width)) :], axis=1))
+
+
+@cache
+def _of_block(segments: int) -> float:
+    """Density of a band in a block of so many segments over that of the noise from which on a load is there [1]."""
+    freedom = FREEDOM * segments
+    return float(chdtri(freedom, SETTINGS.chance) / freedom)

@@ -54,16 +54,20 @@ class WorkingClockSettings:
     periods
         Least pass band of the decimation filter over the highest natural frequency [1].
     beyond
-        Least pass band over the highest frequency at which the load is above the noise [1].
+        Least pass band over the highest frequency at which the load is above the noise [1]: by factors of four and
+        more, and by smaller ones, as samples of that clock that are lost in a gap are to tell little of the load.
     factors
         Factors by which the clock may be slower, largest first; four at least, or little is gained.
+    factors_for_gaps
+        Those of a record with many gaps, whose own smoother needs far more for each than for a sample.
     at_once
         Samples of the record that are read, examined or decimated together.
     """
 
     periods: float = 2.5
-    beyond: float = 1.5
+    beyond: tuple[float, float] = (1.5, 2.25)
     factors: tuple[int, ...] = (16, 15, 14, 12, 10, 9, 8, 7, 6, 5, 4)
+    factors_for_gaps: tuple[int, ...] = (16, 15, 14, 12, 10, 9, 8, 7, 6, 5, 4, 3, 2)
     at_once: int = 1 << 16
 
 
@@ -390,7 +394,7 @@ def _joined(pieces: Sequence[Given]) -> Given:
 
 
 def slower_clock(
-    record: LongRecord[Given], dynamics: BalanceDynamics, made_ready: MadeReady
+    record: LongRecord[Given], dynamics: BalanceDynamics, made_ready: MadeReady, *, gaps: bool = False
 ) -> DecimatedRecord | None:
     """Return a record on the slowest clock that keeps all of its load; None where that is its own clock.
 
@@ -402,9 +406,12 @@ def slower_clock(
         Dynamics of the balance.
     made_ready
         Converts samples that are gauge outputs to balance loads.
+    gaps
+        Whether the record has many gaps.
     """
     highest = max(mode.natural_frequency for mode in dynamics.modes)
-    fitting = [one for one in SETTINGS.factors if _band(record.rate, one) >= SETTINGS.periods * highest]
+    factors = SETTINGS.factors_for_gaps if gaps else SETTINGS.factors
+    fitting = [one for one in factors if _band(record.rate, one) >= SETTINGS.periods * highest]
     if not fitting:
         return None
     modes = tuple(mode.natural_frequency for mode in dynamics.modes)
@@ -422,7 +429,8 @@ def slower_clock(
     except FitError:
         return None  # raised again, with its reason, when the forces are estimated
     for factor in fitting:
-        if _band(record.rate, factor) >= SETTINGS.beyond * look.highest and look.gaps_allow(factor):
+        beyond = SETTINGS.beyond[factor not in SETTINGS.factors]
+        if _band(record.rate, factor) >= beyond * look.highest and look.gaps_allow(factor):
             return DecimatedRecord(
                 record, made_ready, Decimation(factor, record.samples), dynamics.components, look.shown
             )
