@@ -50,8 +50,8 @@ from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import gaps_in, interpolate_gaps
 
 MANY_GAPS: Final = 16
-"""Gaps of a channel in a part from which on a record is estimated on a slower clock although it is one part, and on one
-that gains little else: its own smoother needs 8 to 30 ms for each and each component."""
+"""Gaps of a channel in a part from which on a record is estimated on a slower clock although it is one part, and on
+one that gains little else: its own smoother needs 8 to 30 ms for each and each component."""
 
 FEWEST_SLOWER: Final = 2048
 """Samples of the slower clock that such a record has at least: at its ends the forces are less well known on it."""
