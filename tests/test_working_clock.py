@@ -18,12 +18,12 @@ from aerobalance.balance.loads_of_outputs import loads_of_outputs
 from aerobalance.balance.zeros import GaugeZero
 from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.dynamics.modal import Mode
-from aerobalance.estimation import working_clock
 from aerobalance.estimation.force import ForceWork
 from aerobalance.estimation.force_parts import DIVISION, Division
 from aerobalance.estimation.forces import ForceSettings
 from aerobalance.estimation.record_look import FREEDOM, Look, _of_block
 from aerobalance.estimation.record_look import SETTINGS as LOOK
+from aerobalance.estimation.working_record import AT_ONCE
 from aerobalance.io import read, write_recording
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.channel import Channel
@@ -421,7 +421,7 @@ def test_missing_readings_of_a_file_are_told_once_with_their_number(rng, tmp_pat
         warnings.simplefilter("always", DataQualityWarning)
         slow = ForceWork(file, dynamics_of(T128))
         assert slow.working.every > 4
-        assert file.samples > 2 * working_clock.SETTINGS.at_once
+        assert file.samples > 2 * AT_ONCE
         slow.force()
     (told,) = (str(one.message) for one in caught if "missing (empty" in str(one.message))
     assert f"{len(range(500, 2 * SAMPLES, 700))} of {2 * SAMPLES} samples of AF are missing" in told
@@ -528,4 +528,4 @@ def test_parts_of_a_file_are_those_of_memory(rng, tmp_path: Path) -> None:
     counted = Counted()
     found = ForceWork(counted, dynamics_of(T128), division=SHORT).force().only
     np.testing.assert_array_equal(found.values, work(record).force().only.values)
-    assert max(end - begin for begin, end in counted.asked) < working_clock.SETTINGS.at_once + 4 * 24 * FACTOR + 1
+    assert max(end - begin for begin, end in counted.asked) < AT_ONCE + 4 * 24 * FACTOR + 1

@@ -37,7 +37,8 @@ from aerobalance.estimation.record import FEWEST_SAMPLES
 from aerobalance.estimation.record_clock import RecordClock
 from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
-from aerobalance.estimation.working_clock import DecimatedRecord, MadeReady, RecordAsItIs, slower_clock
+from aerobalance.estimation.working_clock import slower_clock
+from aerobalance.estimation.working_record import DecimatedRecord, MadeReady, RecordAsItIs
 from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, loads_hint

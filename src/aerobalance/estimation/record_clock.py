@@ -8,7 +8,7 @@ import numpy as np
 
 from aerobalance.estimation.force_parts import ForcePart
 from aerobalance.estimation.sampled_force import SampledForce
-from aerobalance.estimation.working_clock import DecimatedRecord
+from aerobalance.estimation.working_record import DecimatedRecord
 from aerobalance.recording.channel import Array
 from aerobalance.recording.decimation import BETWEEN
 
