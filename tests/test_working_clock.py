@@ -448,7 +448,7 @@ def test_many_gaps_put_a_record_of_one_part_on_a_slower_clock(rng) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
-def test_many_gaps_are_reason_enough_for_a_clock_half_as_fast(rng) -> None:
+def test_many_gaps_are_reason_enough_for_a_clock_a_third_as_fast(rng) -> None:
     """A record of 1600 Hz keeps its clock, as little is gained; but each gap costs as much as a second of it."""
     scores, over = [], []
     for _ in range(3):
@@ -460,13 +460,13 @@ def test_many_gaps_are_reason_enough_for_a_clock_half_as_fast(rng) -> None:
         own = of_load(load, time).force().only
         load[rng.choice(load.size, 100, replace=False)] = np.nan
         for division in (SHORT, DIVISION):
-            assert of_load(load, time, division).working.every == 2
+            assert of_load(load, time, division).working.every == 3
         found = of_load(load, time).force().only
         scores.append(rms((found.values - truth) / found.uncertainty))
         over.append(np.median(found.uncertainty) / np.median(own.uncertainty))
     assert np.median(scores) == pytest.approx(1.0, abs=0.15)
-    # of 100 readings each fills one, and two of the slower clock have 1.46 times the variance of others: 1 % in all
-    assert np.median(over) == pytest.approx(1.01, abs=0.05)
+    # the noise is told by a seventh of the ordinates, 590, to 3 % of its standard deviation, and so is the prior
+    assert np.median(over) == pytest.approx(1.0, abs=0.1)
 
 
 def of_load(load: np.ndarray, time: np.ndarray, division: Division = DIVISION) -> ForceWork:

@@ -41,8 +41,7 @@ class WorkingClockSettings:
     periods
         Least pass band of the decimation filter over the highest natural frequency [1].
     beyond
-        Least pass band over the highest frequency at which the load is above the noise [1]: by factors of four and
-        more, and by smaller ones, as samples of that clock that are lost in a gap are to tell little of the load.
+        Least pass band over the highest frequency at which the load is above the noise [1].
     factors
         Factors by which the clock may be slower, largest first; four at least, or little is gained.
     factors_for_gaps
@@ -50,7 +49,7 @@ class WorkingClockSettings:
     """
 
     periods: float = 2.5
-    beyond: tuple[float, float] = (1.5, 2.25)
+    beyond: float = 1.5
     factors: tuple[int, ...] = (16, 15, 14, 12, 10, 9, 8, 7, 6, 5, 4)
     factors_for_gaps: tuple[int, ...] = (16, 15, 14, 12, 10, 9, 8, 7, 6, 5, 4, 3, 2)
 
@@ -95,8 +94,7 @@ def slower_clock(
     except FitError:
         return None  # raised again, with its reason, when the forces are estimated
     for factor in fitting:
-        beyond = SETTINGS.beyond[factor not in SETTINGS.factors]
-        if _band(record.rate, factor) >= beyond * look.highest and look.gaps_allow(factor):
+        if _band(record.rate, factor) >= SETTINGS.beyond * look.highest and look.gaps_allow(factor):
             return DecimatedRecord(
                 record, made_ready, Decimation(factor, record.samples), dynamics.components, look.shown
             )
