@@ -32,6 +32,9 @@ STILL: Final = 1e-9
 MOST: Final = 2000
 """Most samples over which the covariance is then followed until it stands still: one, but for rounding."""
 
+LOOKED_AT: Final = 8
+"""Samples after which it is looked at whether it does, from the first on: that takes as long as to follow it."""
+
 UNSTABLE: Final = 10.0
 """Size of a power of the closed loop, over the number of states, that only a filter without a steady state reaches."""
 
@@ -188,17 +191,19 @@ def _covariance_root(model: Model, unit: Array, *, rounding: float) -> Array:
 
 def _followed(P: Array, model: Model, *, steps: int) -> Array:
     """Follow a covariance (d, d) of the predicted state until it stands still, or over so many samples."""
-    for _ in range(steps):
+    for step in range(steps):
         Ph = P @ model.h
         S = model.R + model.h @ Ph
         K = Ph / S
         updated = P - np.outer(K, Ph)
         updated += np.outer(model.R * K - updated @ model.h, K)  # the Joseph form, positive however small R is
         following = _symmetric(model.A @ updated @ model.A.T) + model.Q
-        size = np.sqrt(np.diag(following))
-        change = np.abs(following - P) / (np.outer(size, size) + 1e-300)
-        shown = np.abs(following @ model.h - Ph) / (np.sqrt(model.h @ following @ model.h) * size + 1e-300)
-        P = following
+        before, P = P, following
+        if step % LOOKED_AT:
+            continue
+        size = np.sqrt(np.diag(P))
+        change = np.abs(P - before) / (np.outer(size, size) + 1e-300)
+        shown = np.abs(P @ model.h - Ph) / (np.sqrt(model.h @ P @ model.h) * size + 1e-300)
         if max(float(change.max()), float(shown.max())) < STILL:
             break
     return P
