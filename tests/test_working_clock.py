@@ -164,7 +164,10 @@ def test_gauge_outputs_become_loads_on_the_slower_clock(rng) -> None:
     error = found.values - truth
     # the bridges' own noise, 1e-5 of 1.1 mV/V of the capacity, is little beside that of the load
     assert rms(error) == pytest.approx(rms(plain.values - truth), rel=0.05)
-    assert rms(found.uncertainty) == pytest.approx(rms(plain.uncertainty), rel=0.05)
+    noises = [
+        rms(one.budget["noise of the readings"]) for one in (found, plain)
+    ]  # one of them may be in doubt by chance
+    assert noises[0] == pytest.approx(noises[1], rel=0.05)
 
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
