@@ -44,14 +44,14 @@ class WorkingClockSettings:
         Least pass band over the highest frequency at which the load is above the noise [1].
     factors
         Factors by which the clock may be slower, largest first; four at least, or little is gained.
-    factors_for_gaps
-        Those of a record with many gaps, whose own smoother needs far more for each than for a sample.
+    further_for_gaps
+        Further ones of a record with many gaps, whose own smoother needs far more for each than for a sample.
     """
 
     periods: float = 2.5
     beyond: float = 1.5
     factors: tuple[int, ...] = (16, 15, 14, 12, 10, 9, 8, 7, 6, 5, 4)
-    factors_for_gaps: tuple[int, ...] = (16, 15, 14, 12, 10, 9, 8, 7, 6, 5, 4, 3, 2)
+    further_for_gaps: tuple[int, ...] = (3, 2)
 
 
 SETTINGS: Final = WorkingClockSettings()
@@ -75,7 +75,7 @@ def slower_clock(
         Whether the record has many gaps.
     """
     highest = max(mode.natural_frequency for mode in dynamics.modes)
-    factors = SETTINGS.factors_for_gaps if gaps else SETTINGS.factors
+    factors = SETTINGS.factors + (SETTINGS.further_for_gaps if gaps else ())
     fitting = [one for one in factors if _band(record.rate, one) >= SETTINGS.periods * highest]
     if not fitting:
         return None

@@ -53,7 +53,7 @@ STANDS_OUT: Final = 3.0
 NARROW_EVIDENCE: Final = 18.0
 """Logarithm of the likelihood that a narrow band must bring which is not taken for a force, but counts by the
 probability that it is one: beside the price of its two edges, 20, what the window leaks from others is left out. Noise
-alone had none in 400 records; with the 25 that a force must bring, one of forty loads at 160 Hz was 71 u off."""
+alone had none in 400 records; with the 25 that a force must bring, two of 46 loads at 160 Hz were 71 u off."""
 
 NO_WEIGHT: Final = 1e-9
 """Weight of averages that are left out of a fit."""
