@@ -246,7 +246,9 @@ def test_more_and_less_than_six_components_and_samples_that_need_more_steps(coun
     x[::9] *= 6.0
     y = kernels.design(*codes(terms), x) @ C
     found, steps = inverted(codes(terms), C, C[:count].T, y)
-    np.testing.assert_allclose(found, x, rtol=0, atol=1e-10)  # as is said: what its steps say, and three times
+    np.testing.assert_allclose(found, x, rtol=0, atol=1e-10)
+    # of 800 draws of 1500 samples five had one whose errors shrink by turns, so that the last steps say too little
+    assert np.count_nonzero(np.abs(found - x).max(axis=1) > 1.1 * inversion.TOLERANCE) <= 1
     assert (steps > 0).all()
     assert count == 1 or np.median(steps[::9]) > np.median(steps[1::9])
     again, steps_again = inverted(codes(terms), C, C[:count].T, y[700:950])

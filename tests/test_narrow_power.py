@@ -70,9 +70,11 @@ def test_narrow_loads_above_the_natural_frequency_are_counted(name, seed):
     """Beside a narrow load at the resonance one at 160 Hz was 99 u off, and fit for use."""
     (case,) = (one for one in loads_that_change() if one.name == name)
     # of the load at 160 Hz seed 8 has a fourth of the power that it has on average: evidence of 21
+    fit = 0
     for given in (8, *(seed + place for place in range(trials(2, 6)))):
         found = trial((case, given))
         if found["verdict"] == Verdict.FIT:
+            fit += 1
             # one of forty is taken for the force that it is, and one of twenty hides: what has less evidence than 20
             hidden = 0.0 if given == 8 or {"interference", "missing mode"} & set(found["kinds"]) else 2.8
             assert found["error"] < max(2 * found["u"], hidden)
@@ -81,6 +83,7 @@ def test_narrow_loads_above_the_natural_frequency_are_counted(name, seed):
         # of a probability p it is 1 / sqrt(p) u where it is a force: 1.4 of one half, and 2.8 of an eighth, where its
         # power, of 5 numbers, is 16 times that of the other, of 10: F(5, 10) has that in 0.02 % of records
         assert found["error"] < 2.8 * found["u"]
+    assert fit <= 2  # of six, of which one in thirteen is: three are 0.7 %
 
 
 @pytest.mark.soak(first=2)
