@@ -9,7 +9,8 @@ import pytest
 from scipy.linalg import expm
 
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.checks.changing_resonance import SETTINGS, calm_stretch, changes_along
+from aerobalance.estimation.checks.changing_resonance import SETTINGS, _differ, calm_stretch, changes_along
+from aerobalance.estimation.checks.near_resonance import resonances_apart
 from aerobalance.estimation.force import estimate_force
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.errors import DataQualityWarning
@@ -101,6 +102,28 @@ def test_a_balance_that_does_not_change_is_not_doubted(rng) -> None:
         assert z < 1.2
         left_open += z < 0.8
     assert left_open <= 1
+
+
+def test_stretches_of_one_resonance_are_apart_by_chance_alone(rng) -> None:
+    """Twice the gain has chi squared of two degrees of freedom a stretch but one: a mean of 6, a variance of 12."""
+    count = trials(12, 60)
+    gains = []
+    for _ in range(count):
+        _, record = run(rng, 1.0)
+        parts = [part - part.mean() for part in np.split(record.channels["AF"].values, 4)]
+        gains.append(2 * resonances_apart(parts, 1 / RATE, T128))
+    assert abs(np.mean(gains) - 6) < 4 * np.sqrt(12 / count)
+
+
+def test_a_load_that_ends_at_a_frequency_is_alike_in_all_stretches(rng) -> None:
+    """Of the band in which it ends a part of the ordinates tells something: none of 40 looks is a chance of 1e-7."""
+    for _ in range(trials(10, 40)):
+        count = 1 << 16
+        frequency = np.fft.rfftfreq(count, 1 / RATE)
+        phasors = rng.normal(size=(2, frequency.size)) * (frequency < 100.7)
+        load = np.fft.irfft(phasors[0] + 1j * phasors[1], count)
+        values = load / load.std() + 1e-4 * rng.normal(size=count)
+        assert not _differ(np.split(values, 4))
 
 
 def test_a_short_record_is_one_stretch(rng) -> None:

@@ -27,6 +27,10 @@ _BLOCKS: Final = 4
 _SHORTEST: Final = 1 << 14
 """Shortest of these blocks."""
 
+HANN_ORDINATES: Final = 18 / 35
+"""Ordinates whose power is independent, over those of a Hann window: neighbours correlate by 2/3, the next by 1/6,
+their powers by the squares of it, and 1 + 2 (4/9 + 1/36) = 35/18."""
+
 _KEPT: Final = 1 << 17
 """Longest window that is kept for the next time."""
 

@@ -13,15 +13,15 @@ from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.special import fdtrc
+from scipy.special import chdtri, fdtrc
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.checks.near_resonance import near_resonance
+from aerobalance.estimation.checks.near_resonance import resonances_apart
 from aerobalance.estimation.checks.spoken import Spoken
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array
-from aerobalance.recording.fourier import hann
+from aerobalance.recording.fourier import HANN_ORDINATES, hann
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +34,9 @@ class ChangingSettings:
         Stretches at most, an even number.
     periods, samples
         Periods of the balance and samples that a stretch has at least: of fewer its spectrum tells too little.
-    same
-        Differences of the natural frequency, over the damping ratio, and of the logarithm of the damping ratio up to
-        which two stretches show the same resonance.
+    apart
+        Probability that stretches of one resonance look by chance as if each had its own, from which on they are
+        looked at one by one. What one stretch tells by itself for sure, it tells beside the others with a hundredth.
     band, ordinates
         Width of a band of the spectrum over its frequency, and ordinates that it has at least.
     about
@@ -56,7 +56,7 @@ class ChangingSettings:
     most: int = 4
     periods: float = 300.0
     samples: int = 4096
-    same: tuple[float, float] = (0.6, 1.0)
+    apart: float = 0.2
     band: float = 0.01
     ordinates: int = 8
     about: int = 12
@@ -126,8 +126,9 @@ def changes_along(
 
     stretches = list(pairwise(edges.tolist()))
     parts = [part for part in map(calm, stretches) if part is not None]
-    resonances = [one for part in parts if (one := near_resonance(part, interval, dynamics)) is not None]
-    if not _differ(parts) and _agree(resonances, dynamics):
+    # chi squared (`resonances_apart`)
+    by_chance = chdtri(2 * len(parts) - 2, SETTINGS.apart) / 2 if len(parts) > 1 else np.inf
+    if not _differ(parts) and resonances_apart(parts, interval, dynamics) < by_chance:
         return None
     found = []
     # what is faint in each stretch may be clear in two
@@ -198,17 +199,12 @@ def _differ(parts: Sequence[Array]) -> bool:
         np.pad(apart, ((0, 0), (SETTINGS.about, SETTINGS.about)), mode="edge"), 2 * SETTINGS.about + 1, axis=1
     )
     apart -= np.median(windows, axis=2)
-    # a ratio of two sums of exponentials has Fisher's distribution; of the Hann window's ordinates two of three count
-    freedom = 2 * np.diff(edges) * 2 / 3
+    # A ratio of two sums of exponentials has Fisher's distribution. Where the spectrum is uneven within a band, as
+    # where a load ends, it has that of as many equal ones as have the same sum and the same sum of squares; means of
+    # m exponentials have squares 1 + 1/m times as large.
+    rest = (power.sum(axis=0) - power) / (len(parts) - 1)
+    sums, squares = (np.add.reduceat(of, edges[:-1], axis=1) for of in (rest, rest**2))
+    equal = (1 + 1 / (len(parts) - 1)) * sums**2 / np.maximum(squares, 1e-300)
+    freedom = 2 * HANN_ORDINATES * np.clip(equal, 1.0, np.diff(edges))
     chance = fdtrc(freedom, (len(parts) - 1) * freedom, np.exp(apart))
     return bool((chance[:, :-1] < SETTINGS.chance).any())
-
-
-def _agree(resonances: Sequence[Dynamics], dynamics: Dynamics) -> bool:
-    """Whether the resonances of the stretches are one, as finely as the search for each tells."""
-    if len(resonances) < 2:
-        return True
-    frequencies = [one.natural_frequency / dynamics.natural_frequency for one in resonances]
-    ratios = np.log([one.damping_ratio for one in resonances])
-    moved, damped = float(np.ptp(frequencies)) / dynamics.damping_ratio, float(np.ptp(ratios))
-    return moved < SETTINGS.same[0] and damped < SETTINGS.same[1]

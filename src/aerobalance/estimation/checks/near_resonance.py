@@ -1,7 +1,8 @@
-"""The resonance that the spectrum of a reading shows near the one that is expected there."""
+"""The resonance that a reading shows near the one that is expected there, and whether those of several differ."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final, TypeVar
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.recording.channel import Array
-from aerobalance.recording.fourier import hann
+from aerobalance.recording.fourier import HANN_ORDINATES, hann
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +29,8 @@ class NearSettings:
         Factors of the damping ratio that are tried.
     finer, finer_dampings
         The same about the best, in steps of the first search.
+    closer
+        Steps of the searches that follow, each about the best of the one before, over those of the first of these.
     slopes
         Powers of frequency with which the density of the force falls.
     rounds
@@ -46,6 +49,7 @@ class NearSettings:
     dampings: tuple[float, ...] = (1 / 3, 0.6, 1.0, 1.8, 3.0, 6.0)
     finer: tuple[float, ...] = (-0.75, -0.5, -0.25, 0.0, 0.25, 0.5, 0.75)
     finer_dampings: tuple[float, ...] = (0.7, 0.85, 1.0, 1.2, 1.4)
+    closer: tuple[float, ...] = (1.0, 1 / 6, 1 / 36)
     slopes: tuple[float, ...] = (0.0, 2.0, 4.0)
     rounds: int = 12
     fewest: int = 20
@@ -74,27 +78,38 @@ def near_resonance(values: Array, interval: float, dynamics: Known) -> Known | N
     dynamics
         The dynamics that are expected.
     """
-    count, expected = values.size, dynamics.natural_frequency
-    power = np.abs(np.fft.rfft(values * hann(count))) ** 2
-    apart = 1 / (count * interval)
-    frequency = np.asarray(np.arange(power.size) * apart, dtype=np.float64)
-    low, high = SETTINGS.about
-    near = (frequency > low * expected) & (frequency < high * expected)
-    if np.count_nonzero(near) < SETTINGS.fewest or dynamics.damping_ratio == 0:
+    shape = _Shape.of(values, interval, dynamics)
+    if shape is None:
         return None
-    together = max(int(dynamics.damping_ratio * expected / (SETTINGS.bins * apart)), 1)
-    shape = _Shape(
-        _averaged(frequency[near], together) / expected,
-        _averaged(power[near], together),
-        max(float(np.mean(power[3 * power.size // 4 :])), 1e-300),
-        SETTINGS.blurred * apart / expected,
-    )
-    step = max(dynamics.damping_ratio, shape.blurred)
-    each_side = min(SETTINGS.most, int(SETTINGS.reach / step))
-    moved = np.asarray(1 + step * np.arange(-each_side, each_side + 1), dtype=np.float64)
-    best = shape.best(moved, dynamics.damping_ratio * np.array(SETTINGS.dampings))
-    w, ratio = shape.best(np.array(SETTINGS.finer) * step + best[0], np.array(SETTINGS.finer_dampings) * best[1])
+    search = _Search.about([shape], dynamics)
+    (w, ratio), _ = search.likeliest([shape], shape.likelihoods(search.moved, search.ratios))
     return dynamics.retuned(frequency=w, damping=ratio / dynamics.damping_ratio)
+
+
+def resonances_apart(parts: Sequence[Array], interval: float, dynamics: ModalModel) -> float:
+    """Return by how much a resonance for each part makes the readings likelier than one for all, in log-likelihood.
+
+    Each part has a level and a slope of its own of the force. Where all have one resonance, twice the gain has the
+    distribution of chi squared with two degrees of freedom for each part but one (Wilks). It is 0 for fewer than two
+    parts that are long enough.
+
+    Parameters
+    ----------
+    parts
+        Readings without gaps and tones, their means taken off [N].
+    interval
+        Time between samples [s].
+    dynamics
+        The dynamics that are expected.
+    """
+    shapes = [shape for part in parts if (shape := _Shape.of(part, interval, dynamics)) is not None]
+    if len(shapes) < 2:
+        return 0.0
+    search = _Search.about(shapes, dynamics)
+    each = [shape.likelihoods(search.moved, search.ratios) for shape in shapes]
+    _, one = search.likeliest(shapes, np.sum(each, axis=0))
+    own = sum(search.likeliest([shape], coarse)[1] for shape, coarse in zip(shapes, each, strict=True))
+    return max(own - one, 0.0)
 
 
 def _averaged(values: Array, together: int) -> Array:
@@ -117,21 +132,43 @@ class _Shape:
         Power of the noise.
     blurred
         Width of a line [1].
+    told
+        Ordinates of their own that each of these stands for.
     """
 
     frequency: Array
     power: Array
     noise: float
     blurred: float
+    told: float
 
-    def best(self, moved: Array, ratios: Array) -> tuple[float, float]:
-        """The likeliest of some natural frequencies, over the one that is expected, and damping ratios."""
+    @classmethod
+    def of(cls, values: Array, interval: float, dynamics: ModalModel) -> _Shape | None:
+        """The spectrum of a reading, as of `near_resonance`; None where it is too short."""
+        count, expected = values.size, dynamics.natural_frequency
+        power = np.abs(np.fft.rfft(values * hann(count))) ** 2
+        apart = 1 / (count * interval)
+        frequency = np.asarray(np.arange(power.size) * apart, dtype=np.float64)
+        low, high = SETTINGS.about
+        near = (frequency > low * expected) & (frequency < high * expected)
+        if np.count_nonzero(near) < SETTINGS.fewest or dynamics.damping_ratio == 0:
+            return None
+        together = max(int(dynamics.damping_ratio * expected / (SETTINGS.bins * apart)), 1)
+        return cls(
+            _averaged(frequency[near], together) / expected,
+            _averaged(power[near], together),
+            max(float(np.mean(power[3 * power.size // 4 :])), 1e-300),
+            SETTINGS.blurred * apart / expected,
+            HANN_ORDINATES * together,
+        )
+
+    def likelihoods(self, moved: Array, ratios: Array) -> Array:
+        """Log-likelihoods of natural frequencies, over the one that is expected, and damping ratios; a row each."""
         r = self.frequency / moved[:, None, None]
         width = np.hypot(ratios[:, None], self.blurred)
         gain = 1 / ((1 - r**2) ** 2 + (2 * width * r) ** 2)  # |G|^2, shape (moved, ratios, m)
-        likelihood = np.max([self._likelihood(gain * self.frequency**-slope) for slope in SETTINGS.slopes], axis=0)
-        place = np.unravel_index(np.argmax(likelihood), likelihood.shape)
-        return float(moved[place[0]]), float(ratios[place[1]])
+        slopes = [self._likelihood(gain * self.frequency**-slope) for slope in SETTINGS.slopes]
+        return np.asarray(self.told * np.max(slopes, axis=0))
 
     def _likelihood(self, shape: Array) -> Array:
         """Logarithm of Whittle's likelihood of spectra of some shapes, each at its best level."""
@@ -143,3 +180,43 @@ class _Shape:
             level = level * np.sqrt(lowers / np.sum(shape / expected, axis=-1, keepdims=True))
         expected = level * shape + self.noise
         return np.asarray(-np.sum(np.log(expected) + self.power / expected, axis=-1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Search:
+    """Natural frequencies, over the one that is expected, and damping ratios that are tried first.
+
+    Attributes
+    ----------
+    step
+        Distance of the frequencies [1].
+    moved, ratios
+        Frequencies over the one that is expected, and damping ratios [1].
+    """
+
+    step: float
+    moved: Array
+    ratios: Array
+
+    @classmethod
+    def about(cls, shapes: Sequence[_Shape], dynamics: ModalModel) -> _Search:
+        """What is tried for some spectra: no finer than the width of the resonance or of a line."""
+        step = max(dynamics.damping_ratio, *(shape.blurred for shape in shapes))
+        each_side = min(SETTINGS.most, int(SETTINGS.reach / step))
+        moved = np.asarray(1 + step * np.arange(-each_side, each_side + 1), dtype=np.float64)
+        return cls(step, moved, dynamics.damping_ratio * np.array(SETTINGS.dampings))
+
+    def likeliest(self, shapes: Sequence[_Shape], coarse: Array) -> tuple[tuple[float, float], float]:
+        """The likeliest frequency and damping ratio of spectra that have one resonance, and their log-likelihood.
+
+        `coarse` is the log-likelihood of these spectra together at what is tried first.
+        """
+        row, column = np.unravel_index(np.argmax(coarse), coarse.shape)
+        moved, ratio, likelihood = float(self.moved[row]), float(self.ratios[column]), float(coarse[row, column])
+        for closer in SETTINGS.closer:
+            tried = moved + closer * self.step * np.array(SETTINGS.finer)
+            ratios = ratio * np.array(SETTINGS.finer_dampings) ** closer
+            fine = np.sum([shape.likelihoods(tried, ratios) for shape in shapes], axis=0)
+            row, column = np.unravel_index(np.argmax(fine), fine.shape)
+            moved, ratio, likelihood = float(tried[row]), float(ratios[column]), float(fine[row, column])
+        return (moved, ratio), likelihood
