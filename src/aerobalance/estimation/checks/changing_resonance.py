@@ -17,7 +17,7 @@ from scipy.special import chdtri, fdtrc
 
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.checks.near_resonance import resonances_apart
+from aerobalance.estimation.checks.near_resonance import resonance_gain, resonances_apart
 from aerobalance.estimation.checks.spoken import Spoken
 from aerobalance.estimation.steps import Step
 from aerobalance.recording.channel import Array
@@ -37,6 +37,8 @@ class ChangingSettings:
     apart
         Probability that stretches of one resonance look by chance as if each had its own, from which on they are
         looked at one by one. What one stretch tells by itself for sure, it tells beside the others with a hundredth.
+    moved
+        The same for a stretch by itself and the dynamics that are expected, from which on it is looked at.
     band, ordinates
         Width of a band of the spectrum over its frequency, and ordinates that it has at least.
     about
@@ -57,6 +59,7 @@ class ChangingSettings:
     periods: float = 300.0
     samples: int = 4096
     apart: float = 0.2
+    moved: float = 0.02
     band: float = 0.01
     ordinates: int = 8
     about: int = 12
@@ -126,15 +129,16 @@ def changes_along(
 
     stretches = list(pairwise(edges.tolist()))
     parts = [part for part in map(calm, stretches) if part is not None]
-    # chi squared (`resonances_apart`)
-    by_chance = chdtri(2 * len(parts) - 2, SETTINGS.apart) / 2 if len(parts) > 1 else np.inf
-    if not _differ(parts) and resonances_apart(parts, interval, dynamics) < by_chance:
+    differ = _differ(parts)
+    if not differ and resonances_apart(parts, interval, dynamics) < _by_chance(SETTINGS.apart, 2 * len(parts) - 2):
         return None
     found = []
     # what is faint in each stretch may be clear in two
     for ends in sorted({*stretches, *pairwise(edges[:: count // 2].tolist())}):
         part = calm(ends)
-        spoken = None if part is None else ask(part)
+        if part is None or not (differ or resonance_gain(part, interval, dynamics) > _by_chance(SETTINGS.moved, 2)):
+            continue
+        spoken = ask(part)
         if spoken is None or spoken.probability == 0:
             continue
         if spoken.kind != "no resonance" and spoken.gain >= SETTINGS.least_gain:
@@ -208,3 +212,8 @@ def _differ(parts: Sequence[Array]) -> bool:
     freedom = 2 * HANN_ORDINATES * np.clip(equal, 1.0, np.diff(edges))
     chance = fdtrc(freedom, (len(parts) - 1) * freedom, np.exp(apart))
     return bool((chance[:, :-1] < SETTINGS.chance).any())
+
+
+def _by_chance(probability: float, freedom: int) -> float:
+    """Gain in log-likelihood that as many parameters more bring by chance with a probability (Wilks)."""
+    return float(chdtri(freedom, probability)) / 2 if freedom else np.inf

@@ -86,6 +86,21 @@ def near_resonance(values: Array, interval: float, dynamics: Known) -> Known | N
     return dynamics.retuned(frequency=w, damping=ratio / dynamics.damping_ratio)
 
 
+def resonance_gain(values: Array, interval: float, dynamics: ModalModel) -> float:
+    """Return by how much the resonance near the expected one makes a reading likelier than it, in log-likelihood.
+
+    Twice the gain has the distribution of chi squared with two degrees of freedom where the expected one is right
+    (Wilks). It is 0 for readings that are too short. Arguments as of `near_resonance`.
+    """
+    shape = _Shape.of(values, interval, dynamics)
+    if shape is None:
+        return 0.0
+    search = _Search.about([shape], dynamics)
+    _, best = search.likeliest([shape], shape.likelihoods(search.moved, search.ratios))
+    own = shape.likelihoods(np.ones(1), np.array([dynamics.damping_ratio]))
+    return max(best - float(own[0, 0]), 0.0)
+
+
 def resonances_apart(parts: Sequence[Array], interval: float, dynamics: ModalModel) -> float:
     """Return by how much a resonance for each part makes the readings likelier than one for all, in log-likelihood.
 
