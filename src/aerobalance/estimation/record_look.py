@@ -157,9 +157,9 @@ class Look:
         needed = [one.values for name, one in recording.channels.items() if name in names or is_of_ground(name)]
         lost = (np.isnan(values) for values in needed)
         gaps = tuple(np.array([last - first for first, last in gaps_in(gap)]) for gap in lost if gap.any())
-        loads = (
-            self._mostly_whole(np.column_stack([recording.channel(name).values for name in names])) if gaps else None
-        )
+        loads = None
+        if gaps and all(len(of_channel) <= SETTINGS.gaps[0] for of_channel in gaps):  # otherwise it keeps its clock
+            loads = self._mostly_whole(np.column_stack([recording.channel(name).values for name in names]))
         return Piece(
             {
                 name: self._levels(recording.channel(name).values if loads is None else loads[:, place])

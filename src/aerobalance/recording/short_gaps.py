@@ -99,14 +99,16 @@ def _fill(
     weights, departures = _across(present, slice(first - window.start, last - window.start), factor)
     if float(np.max(np.sum(weights**2, axis=1))) > SETTINGS.noise_gain:
         return
-    usual = np.sum((departures @ own) ** 2, axis=0) <= chdtri(len(departures), SETTINGS.chance) * noise**2
+    departed = departures @ own
+    whitened = np.linalg.solve(departures @ departures.T, departed)
+    usual = np.sum(departed * whitened, axis=0) <= chdtri(len(departures), SETTINGS.chance) * noise**2
     filled[first:last, columns[usual]] = (level + weights @ own)[:, usual]
 
 
 def _across(present: NDArray[np.bool_], gap: slice, factor: int) -> tuple[Array, Array]:
     """Weights of the readings about a gap in what is missing, and in departures of those beside it from the others.
 
-    The departures are independent and have the variance of a reading's noise.
+    Both are for readings whose noise is white.
 
     Parameters
     ----------
@@ -129,8 +131,7 @@ def _across(present: NDArray[np.bool_], gap: slice, factor: int) -> tuple[Array,
     departures = np.zeros((np.count_nonzero(beside), present.size))
     departures[:, beside] = np.eye(len(departures))
     departures[:, others] = -conditional_weights(inverse, unused, others)[beside[unused]]
-    departures = departures[:, present]
-    return weights, np.asarray(np.linalg.solve(np.linalg.cholesky(departures @ departures.T), departures))
+    return weights, departures[:, present]
 
 
 @lru_cache(maxsize=8)  # the windows of all gaps but those near an end have few sizes
