@@ -194,7 +194,7 @@ def test_bridges_that_are_read_one_after_the_other_change_the_forces_by_as_much(
     lines = np.arange(20.0, 300.0, 1.0)
     size = 0.02 * half_range * np.exp(2j * np.pi * rng.random((lines.size, 6)))
     loads = np.einsum("mij,mj->mi", own.response(lines), size)
-    noise = 1e-5 * half_range * rng.normal(size=(count, 6))
+    noise = 1e-4 * half_range * rng.normal(size=(count, 6))
 
     def force(late: np.ndarray, *, delay: float = 0.0) -> Force:
         phase = np.exp(2j * np.pi * np.multiply.outer(time, lines))

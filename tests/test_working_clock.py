@@ -353,7 +353,8 @@ def test_a_few_samples_that_are_missing_or_wild_are_filled_on_the_own_clock(faul
 
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
-@pytest.mark.parametrize("length", [30, 300, 3000])
+@pytest.mark.parametrize("length", [300, 30, 3000])
+@pytest.mark.soak(first=1)
 def test_long_gaps_are_gaps_of_the_slower_clock(length: int, rng) -> None:
     scores, over = [], []
     for _ in range(trials(2, 8)):
@@ -374,7 +375,8 @@ def test_long_gaps_are_gaps_of_the_slower_clock(length: int, rng) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
-@pytest.mark.parametrize("late", [-1, 0, 2, 4])
+@pytest.mark.parametrize("late", [2, -1, 0, 4])
+@pytest.mark.soak(first=2)
 def test_a_step_in_a_gap_is_found(late: int, rng) -> None:
     """What bends in the gap is not filled; the step is found between the samples on either side."""
     truth, load = force_and_load(rng)
