@@ -159,14 +159,14 @@ class _Shape:
 
     @classmethod
     def of(cls, values: Array, interval: float, dynamics: ModalModel) -> _Shape | None:
-        """The spectrum of a reading, as of `near_resonance`; None where it is too short."""
+        """The spectrum of a reading, as of `near_resonance`; None where it is too short or nothing is read."""
         count, expected = values.size, dynamics.natural_frequency
         power = np.abs(np.fft.rfft(values * hann(count))) ** 2
         apart = 1 / (count * interval)
         frequency = np.asarray(np.arange(power.size) * apart, dtype=np.float64)
         low, high = SETTINGS.about
         near = (frequency > low * expected) & (frequency < high * expected)
-        if np.count_nonzero(near) < SETTINGS.fewest or dynamics.damping_ratio == 0:
+        if np.count_nonzero(near) < SETTINGS.fewest or dynamics.damping_ratio == 0 or not power[near].any():
             return None
         together = max(int(dynamics.damping_ratio * expected / (SETTINGS.bins * apart)), 1)
         return cls(
