@@ -116,14 +116,19 @@ def test_stretches_of_one_resonance_are_apart_by_chance_alone(rng) -> None:
 
 
 def test_a_load_that_ends_at_a_frequency_is_alike_in_all_stretches(rng) -> None:
-    """Of the band in which it ends a part of the ordinates tells something: none of 40 looks is a chance of 1e-7."""
+    """Of the band in which it ends a part of the ordinates tells something; with all of them 10 of 40 differed.
+
+    A look has 1500 bands: one of 40 looks has a chance of 1e-7 once in 160 times.
+    """
+    differ = 0
     for _ in range(trials(10, 40)):
         count = 1 << 16
         frequency = np.fft.rfftfreq(count, 1 / RATE)
         phasors = rng.normal(size=(2, frequency.size)) * (frequency < 100.7)
         load = np.fft.irfft(phasors[0] + 1j * phasors[1], count)
         values = load / load.std() + 1e-4 * rng.normal(size=count)
-        assert not _differ(np.split(values, 4))
+        differ += _differ(np.split(values, 4))
+    assert differ <= 1
 
 
 def test_a_short_record_is_one_stretch(rng) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import logging
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -44,9 +45,11 @@ def opened(path: Path) -> Iterator[Holdings]:
         check_blocks(path)
     with contextlib.ExitStack() as stack:
         stack.enter_context(_quiet())
-        with library_faults(path, NAME, "its channels"):
+        # of a file that was not finished it prints what goes wrong, and raises it
+        with library_faults(path, NAME, "its channels"), contextlib.redirect_stdout(io.StringIO()):
             mdf = asammdf.MDF(path, process_bus_logging=False)
             stack.callback(mdf.close)
+        with library_faults(path, NAME, "its channels"):
             holdings = _holdings(path, mdf)
         yield holdings
 
