@@ -158,7 +158,7 @@ class Look:
         lost = (np.isnan(values) for values in needed)
         gaps = tuple(np.array([last - first for first, last in gaps_in(gap)]) for gap in lost if gap.any())
         loads = None
-        if gaps and all(len(of_channel) <= SETTINGS.gaps[0] for of_channel in gaps):  # otherwise it keeps its clock
+        if gaps and all(map(_are_few, gaps)):  # otherwise it keeps its clock
             loads = self._mostly_whole(np.column_stack([recording.channel(name).values for name in names]))
         return Piece(
             {
@@ -183,9 +183,8 @@ class Look:
 
     def gaps_allow(self, factor: int) -> bool:
         """Whether the gaps of each piece are so few that a clock which is slower by a factor is still less work."""
-        most, most_long = SETTINGS.gaps
         return all(
-            len(gaps) <= most and sum(not is_short_gap(length, factor) for length in gaps) <= most_long
+            _are_few(gaps) and sum(not is_short_gap(length, factor) for length in gaps) <= SETTINGS.gaps[1]
             for gaps in self._gaps
         )
 
@@ -236,3 +235,8 @@ def _of_block(segments: int) -> float:
     """Density of a band in a block of so many segments over that of the noise from which on a load is there [1]."""
     freedom = FREEDOM * segments
     return float(chdtri(freedom, SETTINGS.chance) / freedom)
+
+
+def _are_few(gaps: NDArray[np.intp]) -> bool:
+    """Whether a channel has so few gaps in a piece that a slower clock may be less work, however short they are."""
+    return len(gaps) <= SETTINGS.gaps[0]

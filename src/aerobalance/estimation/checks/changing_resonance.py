@@ -36,7 +36,7 @@ class ChangingSettings:
         Periods of the balance and samples that a stretch has at least: of fewer its spectrum tells too little.
     apart
         Probability that stretches of one resonance look by chance as if each had its own, from which on they are
-        looked at one by one. What one stretch tells by itself for sure, it tells beside the others with a hundredth.
+        looked at one by one. Of 40 records that change by 0.7 or 1 % halfway each that was named had at most 0.15.
     moved
         The same for a stretch by itself and the dynamics that are expected, from which on it is looked at.
     band, ordinates

@@ -81,8 +81,7 @@ def near_resonance(values: Array, interval: float, dynamics: Known) -> Known | N
     shape = _Shape.of(values, interval, dynamics)
     if shape is None:
         return None
-    search = _Search.about([shape], dynamics)
-    (w, ratio), _ = search.likeliest([shape], shape.likelihoods(search.moved, search.ratios))
+    (w, ratio), _ = _Search.about([shape], dynamics).likeliest([shape])
     return dynamics.retuned(frequency=w, damping=ratio / dynamics.damping_ratio)
 
 
@@ -95,8 +94,7 @@ def resonance_gain(values: Array, interval: float, dynamics: ModalModel) -> floa
     shape = _Shape.of(values, interval, dynamics)
     if shape is None:
         return 0.0
-    search = _Search.about([shape], dynamics)
-    _, best = search.likeliest([shape], shape.likelihoods(search.moved, search.ratios))
+    _, best = _Search.about([shape], dynamics).likeliest([shape])
     own = shape.likelihoods(np.ones(1), np.array([dynamics.damping_ratio]))
     return max(best - float(own[0, 0]), 0.0)
 
@@ -121,10 +119,8 @@ def resonances_apart(parts: Sequence[Array], interval: float, dynamics: ModalMod
     if len(shapes) < 2:
         return 0.0
     search = _Search.about(shapes, dynamics)
-    each = [shape.likelihoods(search.moved, search.ratios) for shape in shapes]
-    _, one = search.likeliest(shapes, np.sum(each, axis=0))
-    own = sum(search.likeliest([shape], coarse)[1] for shape, coarse in zip(shapes, each, strict=True))
-    return max(own - one, 0.0)
+    _, one = search.likeliest(shapes)
+    return max(sum(search.likeliest([shape])[1] for shape in shapes) - one, 0.0)
 
 
 def _averaged(values: Array, together: int) -> Array:
@@ -221,17 +217,17 @@ class _Search:
         moved = np.asarray(1 + step * np.arange(-each_side, each_side + 1), dtype=np.float64)
         return cls(step, moved, dynamics.damping_ratio * np.array(SETTINGS.dampings))
 
-    def likeliest(self, shapes: Sequence[_Shape], coarse: Array) -> tuple[tuple[float, float], float]:
-        """The likeliest frequency and damping ratio of spectra that have one resonance, and their log-likelihood.
-
-        `coarse` is the log-likelihood of these spectra together at what is tried first.
-        """
-        row, column = np.unravel_index(np.argmax(coarse), coarse.shape)
-        moved, ratio, likelihood = float(self.moved[row]), float(self.ratios[column]), float(coarse[row, column])
+    def likeliest(self, shapes: Sequence[_Shape]) -> tuple[tuple[float, float], float]:
+        """The likeliest frequency and damping ratio of spectra that have one resonance, and their log-likelihood."""
+        found, likelihood = _best(shapes, self.moved, self.ratios)
         for closer in SETTINGS.closer:
-            tried = moved + closer * self.step * np.array(SETTINGS.finer)
-            ratios = ratio * np.array(SETTINGS.finer_dampings) ** closer
-            fine = np.sum([shape.likelihoods(tried, ratios) for shape in shapes], axis=0)
-            row, column = np.unravel_index(np.argmax(fine), fine.shape)
-            moved, ratio, likelihood = float(tried[row]), float(ratios[column]), float(fine[row, column])
-        return (moved, ratio), likelihood
+            tried = found[0] + closer * self.step * np.array(SETTINGS.finer)
+            found, likelihood = _best(shapes, tried, found[1] * np.array(SETTINGS.finer_dampings) ** closer)
+        return found, likelihood
+
+
+def _best(shapes: Sequence[_Shape], moved: Array, ratios: Array) -> tuple[tuple[float, float], float]:
+    """The likeliest of some frequencies and damping ratios for all spectra together, and their log-likelihood."""
+    together = np.sum([shape.likelihoods(moved, ratios) for shape in shapes], axis=0)
+    row, column = np.unravel_index(np.argmax(together), together.shape)
+    return (float(moved[row]), float(ratios[column])), float(together[row, column])
