@@ -1,5 +1,6 @@
 """Binary formats of other programs: files by their libraries are read, and these read what is written."""
 
+import gc
 import importlib.util
 import json
 import struct
@@ -292,6 +293,21 @@ def test_reading_text_loads_no_library_of_another_format(tmp_path) -> None:
     loaded = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split()
     assert "pandas" in loaded  # so that libraries are seen
     assert not {"h5py", "zarr", "asammdf", "scipy.io", "h5netcdf", "xarray"} & set(loaded)
+
+
+def test_what_the_library_prints_of_a_damaged_file_is_not_shown(tmp_path, capfd) -> None:
+    """Finished, but for its flags: asammdf prints a traceback of its own fault, and its object another at its end."""
+    path = tmp_path / "packed.mf4"
+    next(given for given in FILES if given.name == path.name).make(path)
+    raw = bytearray(path.read_bytes())
+    raw[60] = 0x3F
+    path.write_bytes(raw)
+    with pytest.raises(ReadError, match="is a damaged file of MDF"):
+        ab.read(path)
+    gc.collect()
+    said = capfd.readouterr()
+    assert (said.out, said.err) == ("", "")
+    assert path.read_bytes() == raw
 
 
 UNREADABLE = {

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import io
 import logging
+import sys
+import traceback
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,8 +48,7 @@ def opened(path: Path) -> Iterator[Holdings]:
         check_blocks(path)
     with contextlib.ExitStack() as stack:
         stack.enter_context(_quiet())
-        # of a file that was not finished it prints what goes wrong, and raises it
-        with library_faults(path, NAME, "its channels"), contextlib.redirect_stdout(io.StringIO()):
+        with library_faults(path, NAME, "its channels"), _silent():
             mdf = asammdf.MDF(path, process_bus_logging=False)
             stack.callback(mdf.close)
         with library_faults(path, NAME, "its channels"):
@@ -64,6 +66,24 @@ def _quiet() -> Iterator[None]:
         yield
     finally:
         logger.disabled, logger.propagate = before
+
+
+@contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """Keep from the screen what the library prints of what it raises, and what its half-made object raises at its end.
+
+    Only while a file is opened: it is done with what all of the process prints.
+    """
+    hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
+    try:
+        with contextlib.redirect_stdout(io.StringIO()):
+            yield
+    except BaseException as fault:
+        traceback.clear_frames(fault.__traceback__)  # so that the object, which refers to itself, ends here
+        gc.collect()
+        raise
+    finally:
+        sys.unraisablehook = hook
 
 
 def _holdings(path: Path, mdf: Any) -> Holdings:
