@@ -57,9 +57,6 @@ SETTLED: Final = 0.01
 BEYOND: Final = 16
 """Steps of the iteration at most, beyond the most states."""
 
-BLOCK: Final = 100
-"""Samples of a product of matrices at once."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ShapingFilter:
@@ -184,7 +181,7 @@ def _balanced(response: Array, tolerance: float) -> tuple[Array, Array, Array]:
     # of them has a free sign, which is chosen so that rounding does not
     vectors, sign, root = vectors[:, :kept], sign[:kept], np.sqrt(singular[:kept])
     vectors = vectors * np.copysign(1.0, vectors[0])
-    A = (vectors.T @ _products(basis[:, :-1], basis[:, 1:]) @ vectors) / root[:, None] * root
+    A = (vectors.T @ (basis[:, :-1] @ basis[:, 1:].T) @ vectors) / root[:, None] * root
     return A, root * sign * vectors[0], vectors[0] * root
 
 
@@ -201,32 +198,29 @@ def _krylov(response: Array, tolerance: float) -> tuple[Array, Array, Array]:
     memory = SHORTEST
     while memory < MEMORY and after[2 * memory] > CUT * limit:
         memory *= 2
-    # a Hankel matrix of 2 m - 1 samples is part of a circulant of size 2 m; NumPy's transforms of so few samples take
-    # two thirds of the time of SciPy's
+    # a Hankel matrix of 2 m - 1 samples is part of a circulant of size 2 m; NumPy's transforms write where they are told
     spectrum = np.fft.rfft(np.append(response[1 : 2 * memory], 0.0))
     most = STATES + BEYOND
     basis = np.zeros((most, memory))
     basis[0, 0] = 1.0
     diagonal, beside = np.zeros(most), np.zeros(most)
+    padded, lines, product = np.zeros(2 * memory), np.empty_like(spectrum), np.empty(2 * memory)
+    row = product[memory - 1 : 2 * memory - 1]
     for last in range(most):
-        row = np.fft.irfft(spectrum * np.fft.rfft(basis[last, ::-1], 2 * memory))[memory - 1 : 2 * memory - 1]
-        diagonal[last] = np.sum(basis[last] * row)
-        row -= diagonal[last] * basis[last]
+        own = basis[last]
+        padded[:memory] = own[::-1]
+        np.fft.rfft(padded, out=lines)
+        lines *= spectrum
+        np.fft.irfft(lines, out=product)
+        diagonal[last] = own @ row
+        row -= diagonal[last] * own
         if last:
             row -= beside[last - 1] * basis[last - 1]
-        # rounding brings the older rows back; sums, as threads of a BLAS cost more than they bring here
+        # rounding brings the older rows back
         known = basis[: last + 1]
-        row -= np.einsum("km,k->m", known, np.einsum("km,m->k", known, row))
-        beside[last] = np.sqrt(np.sum(row**2))
+        row -= (known @ row) @ known
+        beside[last] = np.sqrt(row @ row)
         if last + 1 == most or np.max(beside[max(last - 1, 0) : last + 1]) < SETTLED * limit:
             break
-        basis[last + 1] = row / beside[last]
+        np.divide(row, beside[last], out=basis[last + 1])
     return basis[: last + 1], diagonal[: last + 1], beside[:last]
-
-
-def _products(one: Array, other: Array) -> Array:
-    """Sum of one[i, n] other[j, n] over n, shape (k, k): in parts that a BLAS does not share out to threads."""
-    whole = np.zeros((one.shape[0], other.shape[0]))
-    for first in range(0, one.shape[1], BLOCK):
-        whole += one[:, first : first + BLOCK] @ other[:, first : first + BLOCK].T
-    return whole
