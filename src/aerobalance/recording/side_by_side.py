@@ -25,7 +25,10 @@ Result = TypeVar("Result")
 
 @contextmanager
 def one_after_the_other() -> Iterator[None]:
-    """Let this thread work on one thing after the other, where other processes have the other processors."""
+    """Let this thread work on one thing after the other: two would hand Python's interpreter over all the time.
+
+    So it is of arrays that are soon worked on, and where other processes have the other processors.
+    """
     token = _alone.set(True)
     try:
         yield
@@ -55,7 +58,7 @@ def side_by_side(work: Callable[[Given], Result], given: Iterable[Given], *, wha
 
     every = list(given)
     if len(every) < WORKERS or _alone.get():
-        return [work(one) for one in every]
+        return [work(one) for one in (PROGRESS.each(every, what) if what else every)]
     with ThreadPoolExecutor(WORKERS) as pool:
         waiting = [pool.submit(done, one) for one in every]
         try:
