@@ -10,9 +10,10 @@ from scipy.optimize import approx_fprime, minimize
 from aerobalance.dynamics.single import Dynamics, Mode
 from aerobalance.estimation.spectra import _kernels, whittle
 from aerobalance.estimation.spectra._kernels import score_roll_off
+from aerobalance.estimation.spectra.level_costs import Costs, cheapest_columns
 from aerobalance.estimation.spectra.parametric_psd import _averages_of, _costs, fit_roll_offs, refit_roll_off
 from aerobalance.estimation.spectra.periodogram import Periodogram, Spectrum, _Ordinates
-from aerobalance.estimation.spectra.piecewise_psd import CHANGE_EVIDENCE, _cheapest
+from aerobalance.estimation.spectra.piecewise_psd import CHANGE_EVIDENCE
 from aerobalance.estimation.spectra.whittle import fit_spectrum, refit_spectrum
 from aerobalance.estimation.spectra.windows import HANN_BANDWIDTH, density_of, leaked
 from helpers.cable_cut import T128
@@ -364,14 +365,45 @@ def test_path_of_least_cost_is_that_of_all_paths(rng):
     cost = rng.normal(0, 30, (6, 3))
     paths = np.stack(np.meshgrid(*[np.arange(3)] * 6, indexing="ij"), -1).reshape(-1, 6)
     total = cost[np.arange(6), paths].sum(axis=1) + CHANGE_EVIDENCE * np.count_nonzero(np.diff(paths), axis=1)
-    assert (_cheapest(cost) == paths[np.argmin(total)]).all()
+    assert (cheapest_columns(cost, CHANGE_EVIDENCE) == paths[np.argmin(total)]).all()
 
 
 def test_compiled_loop_is_the_plain_one(rng, monkeypatch):
     cost = rng.normal(0, 30, (50, 7))
-    compiled = _cheapest(cost)
-    monkeypatch.setattr("aerobalance.estimation.spectra.piecewise_psd.cheapest", _kernels.cheapest.py_func)
-    assert (_cheapest(cost) == compiled).all()
+    compiled = cheapest_columns(cost, CHANGE_EVIDENCE)
+    monkeypatch.setattr("aerobalance.estimation.spectra.level_costs.cheapest", _kernels.cheapest.py_func)
+    assert (cheapest_columns(cost, CHANGE_EVIDENCE) == compiled).all()
+
+
+def test_costs_of_levels_differ_as_those_in_double_precision(rng):
+    """Also of readings 1e20 times their noise, of units that are far from one, and of a reading that is nothing.
+
+    A cost of size c is rounded to some four times 6e-8 c: where a level is likely it is the weight times 1 to 50.
+    """
+    count, levels = 40, np.concatenate([[0.0], np.geomspace(1e-6, 1e20, 200)])
+    density, background = np.exp(rng.normal(0, 12, count)), np.exp(rng.normal(-2, 3, count))
+    density[3], weight, gain = 0.0, rng.uniform(1, 50, count), np.exp(rng.normal(0, 4, count))
+    model = gain[:, None] * levels + background[:, None]
+    exact = weight[:, None] * (np.log(model) + density[:, None] / model)
+    best = exact.min(axis=1, keepdims=True)
+    likely, shown = exact - best < 100, np.arange(count) % 4 != 1
+    for unit in (1.0, 1e-25, 1e25):
+        costs = Costs.of(unit * density, weight, unit * background)
+        found = costs.table(unit * levels, gain=gain).astype(float)
+        apart = found - found[np.arange(count), np.argmin(exact, axis=1)][:, None]
+        assert np.abs(apart - (exact - best))[likely].max() < 4 * SINGLE * 50 * 50
+        assert apart[~likely].min() > 99
+        some = costs.table(unit * levels, gain=gain, where=shown)
+        assert (some[shown] == found[shown]).all()
+        assert np.isinf(some[~shown]).all()
+        # beside twice the background they cost as much more, to the same constant
+        other = costs.beside(2 * unit * background).table(unit * levels, gain=gain).astype(float)
+        twice = model + background[:, None]
+        more = weight[:, None] * (np.log(twice / model) + density[:, None] * (1 / twice - 1 / model))
+        assert np.abs(other - found - more)[likely].max() < 8 * SINGLE * 50 * 50
+
+
+SINGLE = np.finfo(np.float32).eps
 
 
 def test_density_of_segments_and_roll_off():

@@ -13,9 +13,7 @@ from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from aerobalance.estimation.spectra._kernels import cheapest
 from aerobalance.estimation.spectra.banded_noise import (
     ENOUGH,
     FAINTEST,
@@ -26,6 +24,7 @@ from aerobalance.estimation.spectra.banded_noise import (
     BandedNoise,
     likeliest_power,
 )
+from aerobalance.estimation.spectra.level_costs import Costs, cheapest_columns
 from aerobalance.estimation.spectra.noise_ordinates import FINENESS, Ordinates
 from aerobalance.estimation.spectra.noise_spectrum import Band
 from aerobalance.estimation.spectra.piecewise_psd import CHANGE_EVIDENCE, LEVELS_A_DECADE
@@ -89,9 +88,8 @@ class _Part(NamedTuple):
 def departs(seen: Ordinates, model: Array) -> bool:
     """Whether the ratio of a record to what is taken for its spectrum, shape (m,), changes its level anywhere."""
     ratio = seen.density / model
-    levels = _levels(ratio, seen.weight)
-    table = seen.weight[:, None] * (np.log(levels) + ratio[:, None] / levels)
-    return bool(np.ptp(_path(table)))
+    costs = Costs.of(ratio, seen.weight, np.zeros(ratio.size))
+    return bool(np.ptp(cheapest_columns(costs.table(_levels(ratio, seen.weight)), CHANGE_EVIDENCE)))
 
 
 def banded(seen: Ordinates) -> tuple[BandedNoise, Ordinates] | None:
@@ -158,15 +156,6 @@ def _levels(density: Array, weight: Array) -> Array:
     return np.geomspace(least, most, int(LEVELS_A_DECADE * np.log10(most / least)) + 2)
 
 
-def _path(table: Array) -> NDArray[np.int64]:
-    """Column for each row of a table of costs, so that all together with `CHANGE_EVIDENCE` a change are least."""
-    rows, columns = table.shape
-    path, best = np.empty(rows, dtype=np.int64), np.zeros(rows + 1, dtype=np.int64)
-    moved = np.empty(table.shape, dtype=np.bool_)
-    cheapest(np.ascontiguousarray(table), CHANGE_EVIDENCE, np.zeros(columns), moved, best, path)
-    return path
-
-
 def _slow_start(fine: Ordinates) -> Array:
     """A 1/f part as strong as the lowest ordinates show it, shape (m,) [N^2/Hz]."""
     low = slice(0, LOWEST)
@@ -177,10 +166,9 @@ def _slow_start(fine: Ordinates) -> Array:
 def _parts(fine: Ordinates, slow: Array) -> list[_Part]:
     """Levels beside a 1/f part, which a filter may cut off with them."""
     levels = _levels(fine.density, fine.weight)
-    model = fine.fixed[:, None] + levels
-    count, weight, density = levels.size, fine.weight[:, None], fine.density[:, None]
-    tables = [model + slow[:, None], model] if slow.any() else [model]
-    path = _path(np.hstack([weight * (np.log(one) + density / one) for one in tables]))
+    costs, count = Costs.of(fine.density, fine.weight, fine.fixed), levels.size
+    beside = [costs.beside(fine.fixed + slow), costs] if slow.any() else [costs]
+    path = cheapest_columns(np.hstack([one.table(levels) for one in beside]), CHANGE_EVIDENCE)
     first = np.concatenate([[0], np.flatnonzero(np.diff(path)) + 1])
     return [
         _part(slice(int(a), int(b)), fine, slow, with_slow=bool(path[a] < count))

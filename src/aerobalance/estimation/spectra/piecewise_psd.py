@@ -9,7 +9,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from aerobalance.estimation.spectra._kernels import cheapest
+from aerobalance.estimation.spectra.level_costs import Costs, Singles, cheapest_columns
 from aerobalance.estimation.spectra.periodogram import FEWEST_ORDINATES, FINENESS, Periodogram, Spectrum
 from aerobalance.estimation.spectra.windows import leaked
 from aerobalance.recording.channel import Array
@@ -64,9 +64,6 @@ TAIL_STEPS: Final = 8
 TAIL_ENOUGH: Final = 0.01
 """Relative change of the level at which they end: a twentieth of its standard uncertainty or less."""
 
-AT_ONCE: Final = 256
-"""Averages whose costs are worked out at once."""
-
 _LEAKED: Final = leaked(-np.arange(FAR, dtype=np.float64))
 """Share of the window's power beyond an edge so many ordinates away, falling."""
 
@@ -95,12 +92,12 @@ def fit_segments(periodogram: Periodogram, noise: float, *, rising: bool = False
     if not weakened.all():  # above what all readings show of a force no level is likelier
         shown = float(np.max((periodogram.density / gain)[~weakened]))
         levels = levels[: int(np.searchsorted(levels, shown)) + 2]
-    cost = np.empty((gain.size, levels.size))
-    _write_costs(cost, periodogram, background, levels, ~weakened)
+    costs = Costs.of(periodogram.density, periodogram.weight, background)
+    cost = costs.table(levels, gain=gain, where=~weakened)
     if weakened.any():
         allowed = int(np.count_nonzero(levels <= _highest(periodogram, levels, cost[~weakened])))
-        _write_costs(cost, periodogram, background, levels[:allowed], weakened)
-    path = _cheapest(cost)
+        costs.write(cost, gain, levels[:allowed], weakened)
+    path = cheapest_columns(cost, CHANGE_EVIDENCE)
     first = np.concatenate([[0], np.flatnonzero(np.diff(path)) + 1])
     last = np.append(first[1:], gain.size)
     found = [
@@ -154,18 +151,16 @@ def fit_noise_levels(periodogram: Periodogram, noise: float) -> NoiseLevels:
         return NoiseLevels(found, weakened)
     background = periodogram.background(noise)
     levels = _levels(periodogram, background)
-    cost = np.empty((weight.size, levels.size))
-    _write_costs(cost, periodogram, background, levels, np.full(weight.size, True))
+    costs = Costs.of(density, weight, background)
+    cost = costs.table(levels, gain=periodogram.gain)
     least = max(float(density[weakened].min()), 1e-6 * noise)
     most = max(float(density[weakened].max()), 2 * least)
     count = int(LEVELS_A_DECADE * np.log10(most / least)) + 2
-    model = fixed[:, None] + np.geomspace(least, most, count)
-    alone = weight[:, None] * (np.log(model) + density[:, None] / model)
-    alone[~weakened] = np.inf
+    alone = costs.beside(fixed).table(np.geomspace(least, most, count), where=weakened)
     force = cost.shape[1]
     table = np.hstack([cost, alone])
     while True:
-        path = _cheapest(table)
+        path = cheapest_columns(table, CHANGE_EVIDENCE)
         first = np.concatenate([[0], np.flatnonzero(np.diff(path)) + 1])
         parts = [slice(a, b) for a, b in zip(first, np.append(first[1:], path.size), strict=True)]
         means = [float(np.average(density[part] - fixed[part], weights=weight[part])) for part in parts]
@@ -207,12 +202,12 @@ def fit_noise_levels(periodogram: Periodogram, noise: float) -> NoiseLevels:
     return NoiseLevels(found, seen, above if wide > WIDE * above else np.inf)
 
 
-def _highest(periodogram: Periodogram, levels: Array, cost: Array) -> float:
+def _highest(periodogram: Periodogram, levels: Array, cost: Singles) -> float:
     """Highest level of the force, lines apart, where the balance does not weaken it [N^2/Hz], by the costs there."""
     strong = periodogram.gain >= WEAKENED
     if not strong.any():
         return np.inf
-    weight, below = periodogram.weight[strong], levels[_cheapest(cost)]
+    weight, below = periodogram.weight[strong], levels[cheapest_columns(cost, CHANGE_EVIDENCE)]
     order = np.argsort(-below)
     share = np.cumsum(weight[order]) / np.sum(weight)
     return float(below[order][np.searchsorted(share, LINES)])
@@ -317,32 +312,6 @@ def _levels(periodogram: Periodogram, background: Array) -> Array:
     most = max(float(np.max(periodogram.density / periodogram.gain)), 10 * least)
     levels = np.geomspace(least, most, int(LEVELS_A_DECADE * np.log10(most / least)) + 2)
     return np.concatenate([[0.0], levels])
-
-
-def _write_costs(
-    cost: Array, periodogram: Periodogram, background: Array, levels: Array, where: NDArray[np.bool_]
-) -> None:
-    """Write into a table (m, l) what each level costs at some of the averages; further columns are of none."""
-    gain, density, weight = (values[:, None] for values in (periodogram.gain, periodogram.density, periodogram.weight))
-    rows, background = np.flatnonzero(where), background[:, None]
-    for first in range(0, rows.size, AT_ONCE):  # so few are worked on near the processor
-        some = rows[first : first + AT_ONCE]
-        model = gain[some] * levels
-        model += background[some]
-        found = np.log(model)
-        found += np.divide(density[some], model, out=model)
-        found *= weight[some]
-        cost[some, : levels.size] = found
-        cost[some, levels.size :] = np.inf
-
-
-def _cheapest(cost: Array) -> NDArray[np.int64]:
-    """Column for each row of a table of costs, so that all together with `CHANGE_EVIDENCE` a change are least."""
-    rows, columns = cost.shape
-    path, best = np.empty(rows, dtype=np.int64), np.zeros(rows + 1, dtype=np.int64)
-    moved = np.empty(cost.shape, dtype=np.bool_)
-    cheapest(np.ascontiguousarray(cost), CHANGE_EVIDENCE, np.zeros(columns), moved, best, path)
-    return path
 
 
 def sharpened(spectrum: Spectrum, periodogram: Periodogram, noise: float) -> Spectrum:

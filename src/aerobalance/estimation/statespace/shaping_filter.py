@@ -198,7 +198,7 @@ def _krylov(response: Array, tolerance: float) -> tuple[Array, Array, Array]:
     memory = SHORTEST
     while memory < MEMORY and after[2 * memory] > CUT * limit:
         memory *= 2
-    # a Hankel matrix of 2 m - 1 samples is part of a circulant of size 2 m; NumPy's transforms write where they are told
+    # a Hankel matrix of 2 m - 1 samples is part of a circulant of size 2 m; NumPy's transforms write where told
     spectrum = np.fft.rfft(np.append(response[1 : 2 * memory], 0.0))
     most = STATES + BEYOND
     basis = np.zeros((most, memory))
