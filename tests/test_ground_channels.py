@@ -91,7 +91,7 @@ FAULTS = [
 
 
 @pytest.mark.parametrize(("channel", "fault", "size"), FAULTS)
-@pytest.mark.soak(first=2)
+@pytest.mark.soak(first=1)
 def test_a_fault_of_one_channel_is_named_and_counted(channel, fault, size, rng):
     made = shaken(rng)
     record = (made.with_late(channel, size) if fault == "late" else made.with_gain(channel, size)).used
@@ -174,6 +174,7 @@ def pitching_moment(made: Shaken) -> Array:
 
 
 @pytest.mark.parametrize(("kind", "size"), [("ground delay", 1e-3), ("ground gain", 1.01)])
+@pytest.mark.soak(first=1)
 def test_what_a_channel_would_do_that_a_record_does_not_tell_is_assumed(kind, size, rng):
     """A load that is large beside the motion hides 5 ms, which made errors of up to 60 u without a word.
 
@@ -285,6 +286,7 @@ def case_of(name: str) -> Case:
     return case
 
 
+@pytest.mark.soak(first=0)
 def test_the_delay_of_a_slow_channel_scatters_as_it_is_said_to(seed):
     """An edge of its spectrum near the natural frequency once passed for knowledge: it was off by 3.6 u, rms."""
     case, off = case_of("pitch 20 ms late, 0-20 Hz"), []

@@ -156,7 +156,7 @@ def test_second_mode_is_found_and_warned_about(rng):
 
 
 @pytest.mark.parametrize("share", [0.03, -0.03, 0.08, -0.08])
-@pytest.mark.soak(first=2)
+@pytest.mark.soak(first=1)
 def test_modes_are_identified_with_shares_of_either_sign(share, rng):
     frequency, ratio = rng.uniform(120, 400), rng.uniform(0.004, 0.015)
     truth = T128.with_modes(Mode(frequency, ratio, share))

@@ -204,6 +204,7 @@ def test_modes_far_from_those_of_the_balance_are_not_usable(factor: float, commo
     _far_off(scene, factor, rng, may_be_less=factor == 2.0)
 
 
+@pytest.mark.soak(first=0)
 def test_modes_far_off_are_told_where_their_rows_bring_the_forces_together() -> None:
     """Of 0.4 times the frequencies: what the rows mixed was taken for one load in all components, of any dynamics.
 
@@ -483,7 +484,7 @@ def test_exchanged_components_of_very_different_frequencies_are_named(one: str, 
 
 
 @pytest.mark.parametrize("component", ["NF", "YM"])
-@pytest.mark.soak(first=1)
+@pytest.mark.soak(first=0)
 def test_a_sign_of_components_of_very_different_frequencies_is_named(component: str, rng) -> None:
     """It was taken for an exchange of NF and YM, which the noise far above their modes made likelier by hundreds."""
     force = wide_record(turbulence, rng, sign=np.where(np.array(COMPONENTS) == component, -1, 1))
@@ -506,7 +507,7 @@ def test_components_of_very_different_frequencies_are_not_exchanged(maker: Maker
     assert not exchanges(wide_record(maker, rng, noise=noise))
 
 
-@pytest.mark.soak(first=2)
+@pytest.mark.soak(first=0)
 def test_noise_of_a_color_exchanges_no_channels(rng) -> None:
     """Five times the white noise in all channels, under a load that ends at 180 Hz.
 
@@ -553,7 +554,7 @@ def moves(force: Force) -> set[str]:
     [("narrow", 2), ("narrow", 3), ("moved", 3)],
     ids=["narrow at 40 Hz", "narrow at 90 Hz", "90 Hz"],
 )
-@pytest.mark.soak(first=1)
+@pytest.mark.soak(first=0)
 def test_one_mode_that_has_moved_is_told_from_a_narrow_load(what: str, place: int, rng) -> None:
     """Modes moved together were looked for, and one alone by a reading whose damping is the decoupled component's.
 
@@ -589,7 +590,7 @@ def test_a_load_that_falls_steeply_at_a_mode_moves_it_nowhere(seed: int) -> None
 
 
 @pytest.mark.parametrize("seed", [302, 304, 314])
-@pytest.mark.soak(first=1)
+@pytest.mark.soak(first=0)
 def test_one_mode_is_told_by_few_ordinates(seed: int) -> None:
     """One of 40 Hz, whose width and that of its hole are few ordinates of 8 s, by a likelihood ratio of e^6 and more.
 

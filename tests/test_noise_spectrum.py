@@ -16,6 +16,7 @@ from aerobalance.estimation.statespace.shaping_filter import ShapingFilter
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from helpers.cable_cut import T128
 from helpers.coloured_noise import RATE, WHITE, noise_of
+from seeds import trials
 
 
 def known(corner: float = 10.0, exponent: float = 1.0, *, humps: tuple[Hump, ...] = ()) -> NoiseSpectrum:
@@ -286,7 +287,7 @@ def test_smooth_noise_has_no_edges():
         lambda f: WHITE + high.density(f),
         lambda f: WHITE * (1 + 10 / f) + hump.density(f),
     )
-    for seed in range(10):
+    for seed in range(trials(4, 10)):
         for number, shape in enumerate(shapes):
             values = noise_of(np.random.default_rng(seed), shape, longer=2)
             found = noise_spectrum_of(values, T128, interval=1 / RATE)

@@ -399,6 +399,7 @@ def test_all_loads_are_missing_where_a_contact_was_lost(rng):
 
 
 @pytest.mark.parametrize("side", [-1.0, 1.0])
+@pytest.mark.soak(first=1)
 def test_a_bridge_that_rests_on_a_limit_too_often_is_doubted(side, rng):
     """A limit at a third of the standard deviation lets no more than 63 % pass."""
     loads = through_bridges(lambda own: side * np.minimum(side * own, own.std() / 3), rng)

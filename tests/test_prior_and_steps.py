@@ -373,6 +373,7 @@ def test_uncertainty_within_a_change_of_less_than_a_sample_is_that_of_a_sudden_o
     assert side_variance(Step(0.5, 1.1 / RATE), np.array([time]), height=7.0, interval=1 / RATE) == 0
 
 
+@pytest.mark.soak(first=0)
 def test_a_sudden_change_that_is_taken_for_a_short_ramp_is_no_surer_for_that():
     """A square wave: an edge was found to take 0.47 samples, with 161 N of error beside 3.5 N at the sample within."""
     (case,) = [case for case in all_cases() if case.name == "square wave of 5 Hz, 200 N"]

@@ -362,7 +362,7 @@ def test_a_few_samples_that_are_missing_or_wild_are_filled_on_the_own_clock(faul
 @pytest.mark.soak(first=1)
 def test_long_gaps_are_gaps_of_the_slower_clock(length: int, rng) -> None:
     scores, over = [], []
-    for _ in range(trials(2, 8)):
+    for _ in range(trials(1, 8)):
         truth, load = force_and_load(rng, steps=())
         for begin in GAPS[::2]:
             load[begin : begin + length] = np.nan
@@ -381,7 +381,7 @@ def test_long_gaps_are_gaps_of_the_slower_clock(length: int, rng) -> None:
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
 @pytest.mark.parametrize("late", [2, -1, 0, 4])
-@pytest.mark.soak(first=2)
+@pytest.mark.soak(first=1)
 def test_a_step_in_a_gap_is_found(late: int, rng) -> None:
     """What bends in the gap is not filled; the step is found between the samples on either side."""
     truth, load = force_and_load(rng)
