@@ -163,12 +163,15 @@ def _clearest(
         if start.kind == "no resonance":
             found.append(start)
             continue
-        other = _best_near(evidence, start.kind, dynamics, start.dynamics)
+        other = _best_from(evidence, start, dynamics, tried)
         found.append(start._replace(dynamics=other, gain=evidence.of(other) - own - price_of(start.kind, evidence)))
     spoken = max(found, key=lambda one: one.gain)
     if spoken.kind != "no resonance":
-        other = _best_near(evidence, spoken.kind, dynamics, spoken.dynamics, scale=SETTINGS.closer)
-        spoken = Spoken(spoken.kind, other, evidence.of(other) - own - price_of(spoken.kind, evidence))
+        # a search that has come to rest may go on where it is begun again the other way round
+        for scale in (-1.0, SETTINGS.closer):
+            other = _best_near(evidence, spoken.kind, dynamics, spoken.dynamics, scale=scale)
+            gain = evidence.of(other) - own - price_of(spoken.kind, evidence)
+            spoken = max(spoken, Spoken(spoken.kind, other, gain), key=lambda one: one.gain)
     if spoken.gain >= SETTINGS.decisive:
         return spoken
     far = (
@@ -176,6 +179,29 @@ def _clearest(
         or abs(spoken.mode.natural_frequency / dynamics.natural_frequency - 1) >= SETTINGS.far
     )
     return open_far(spoken) if far and spoken.gain >= SETTINGS.open_far else None
+
+
+def _best_from(
+    evidence: Evidence, start: Spoken, dynamics: Dynamics, tried: Sequence[tuple[str, Dynamics]]
+) -> Dynamics:
+    """The most evident dynamics near some that were tried, a further mode of any share among them.
+
+    Of one sign a further mode has a likeliest share, and of the other sign another, its frequency a percent off. At
+    first either may be likelier, and no search leads from one to the other.
+    """
+    if start.kind != "missing mode":
+        return _best_near(evidence, start.kind, dynamics, start.dynamics)
+
+    def share(other: Dynamics) -> float:
+        return other.further_modes[-1].share
+
+    at = start.dynamics.further_modes[-1].natural_frequency
+    modes = [one for kind, one in tried if kind == start.kind and one.further_modes[-1].natural_frequency == at]
+    modes.sort(key=evidence.of, reverse=True)
+    firsts = {share(one) > 0: one for one in reversed(modes)}
+    best = max((_best_near(evidence, start.kind, dynamics, one) for one in firsts.values()), key=evidence.of)
+    alike = [one for one in modes if share(one) * share(best) > 0 and one not in firsts.values()]
+    return max([best, *(_best_near(evidence, start.kind, dynamics, one) for one in alike)], key=evidence.of)
 
 
 def _starts(evidence: Evidence, tried: Sequence[tuple[str, Dynamics]], *, own: float, best: float) -> list[Spoken]:
@@ -356,7 +382,7 @@ def _best_near(evidence: Evidence, kind: str, dynamics: Dynamics, start: Dynamic
         np.zeros(size.size),
         method="Nelder-Mead",
         options={
-            "maxfev": round(SETTINGS.most_tries / scale),
+            "maxfev": round(SETTINGS.most_tries / abs(scale)),
             "xatol": 0.02,
             "fatol": 0.1,
             "initial_simplex": _simplex(size.size),
