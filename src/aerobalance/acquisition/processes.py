@@ -15,11 +15,13 @@ import os
 import subprocess
 import sys
 import threading
+import time
 from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import TYPE_CHECKING, Any, Final
 
 from aerobalance.recording.blas_threads import settings_of_process
+from aerobalance.recording.errors import FitError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -27,6 +29,12 @@ if TYPE_CHECKING:
 
 _LOADED: Final = ["aerobalance.acquisition.simulated", "aerobalance.acquisition.recorder"]
 _LOCK: Final = threading.Lock()
+
+TRIES: Final = 3
+"""Times that a process is tried to be started."""
+
+PAUSE: Final = 0.1
+"""Time between them [s], in which one that was killed is gone."""
 
 
 def _context() -> SpawnContext | ForkServerContext:
@@ -54,19 +62,34 @@ def start_worker(target: Callable[..., None], *arguments: object) -> BaseProcess
     Its linear algebra has one thread, unless the environment says otherwise. It would have one for every core. Those
     wait in a busy loop for the next product, whatever priority the process has given itself, and take from source and
     recorder what these need on time.
+
+    Raises
+    ------
+    FitError
+        It could not be started.
     """
     if sys.platform == "linux":
         _CONTEXT.set_forkserver_preload(_LOADED)
-    process = _CONTEXT.Process(target=target, args=arguments, daemon=True)
     with _LOCK:  # a process is given the environment of the moment
         made = settings_of_process(os.environ)
         os.environ.update(made)
         try:
-            process.start()
+            for _ in range(TRIES):
+                process = _CONTEXT.Process(target=target, args=arguments, daemon=True)
+                # where the process that forks others was killed, another one is started at the next try
+                try:
+                    process.start()
+                except (EOFError, ConnectionError):
+                    time.sleep(PAUSE)
+                else:
+                    return process
         finally:
             for name in made:
                 del os.environ[name]
-    return process
+    raise FitError(
+        f"a process could not be started: the one that starts it ended {TRIES} times before it did; see whether the "
+        "system lets processes start and has memory for them"
+    )
 
 
 def start_interpreter(module: str) -> subprocess.Popen[bytes]:
