@@ -13,6 +13,7 @@ from aerobalance.balance.zeros import gauge_zero
 from aerobalance.identification.base_excitation.rig import identify_rig
 from aerobalance.identification.base_excitation.shaking import identify_shaking
 from aerobalance.identification.base_excitation.sine_dwell import find_dwells
+from aerobalance.identification.free_decay.ring_fit import _covariance
 from aerobalance.identification.impact.shaker import identify_shaker
 from aerobalance.identification.step_relaxation.identify import identify_releases
 from aerobalance.identification.step_relaxation.record import release_record
@@ -132,3 +133,16 @@ def test_a_release_that_never_came(rng):
         still = Recording.from_arrays(np.arange(3000) / 1600, {"AF": values}, name="still")
         with pytest.raises(FitError, match="still"):
             ab.identify(still, mass=(T128.mass, 0.05))
+
+
+def test_a_number_of_which_nothing_is_seen_is_beyond_all_uncertainty(rng):
+    """The end of a law that grows without end in noise had a column of 1e-169, and the user a warning of NumPy."""
+    J = rng.normal(size=(400, 4))
+    J[:, 2] *= 1e-169
+    left = rng.normal(size=400)
+    covariance, _ = _covariance(J, left, number=np.arange(400), turns=0.1, sizes=np.array([0.0, 0.0, 1.0]))
+    assert np.isinf(covariance[2, 2])
+    told = np.array([0, 1, 3])
+    u = np.sqrt(np.diag(covariance)[told])
+    # as of white noise of 1: 1 / sqrt(n) but for what chance makes of columns and noise, five times 1 / sqrt(2 n)
+    assert u == pytest.approx(1 / 20, rel=5 / np.sqrt(800))

@@ -300,7 +300,8 @@ def _covariance(J: Array, left: Array, *, number: NDArray[np.intp], turns: float
     largest[largest == 0] = 1.0
     size = largest * np.sqrt(np.sum((J / largest) ** 2, axis=0))
     size[size == 0] = 1.0
-    inverse = np.linalg.pinv((J / size).T @ (J / size), hermitian=True) / size / size[:, None]
+    with np.errstate(over="ignore"):  # the variance of a number of which nothing is seen may be beyond all numbers too
+        inverse = np.linalg.pinv((J / size).T @ (J / size), hermitian=True) / size / size[:, None]
     variance = float(left @ left) / max(left.size - J.shape[1], 1)
     rounding = variance < (1e-9 * float(np.abs(sizes[2:]).max())) ** 2
     colour = 1.0 if rounding else _colour(left, turns, number)
