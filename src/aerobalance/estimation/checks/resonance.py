@@ -352,7 +352,10 @@ def _others(dynamics: Dynamics, peaks: list[float], *, confirmed: float) -> Iter
 
 
 def _best_near(evidence: Evidence, kind: str, dynamics: Dynamics, start: Dynamics, *, scale: float = 1.0) -> Dynamics:
-    """The most evident dynamics near some: their resonance moved, or the further mode."""
+    """The most evident dynamics near some: their resonance moved, or the further mode.
+
+    `scale` is the size of the first steps over the usual one; below zero they go the other way.
+    """
     if kind == "missing mode":
         mode = start.further_modes[-1]
 

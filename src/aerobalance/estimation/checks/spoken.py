@@ -57,7 +57,8 @@ class ResonanceSettings:
         Shares of a further mode that are tried, and the damping ratio that it is tried with; large ones at the highest
         peak alone, and at the highest that is far from all known modes.
     most_tries
-        Dynamics of a kind that are tried at most to come to the best; near that as many more as it is looked closer.
+        Dynamics of a kind that are tried at most to come to the best, and once more from there the other way round;
+        near that as many more as it is looked closer.
     beyond
         Factor of the natural frequency that puts it beyond all that is looked at.
     line, line_beside, line_damped
