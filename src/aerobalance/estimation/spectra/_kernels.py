@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from aerobalance.recording.compiled import compiled
 
 Floats = NDArray[np.float64]
+Singles = NDArray[np.float32]
 Integers = NDArray[np.int64]
 Flags = NDArray[np.bool_]
 
@@ -18,13 +19,13 @@ NUMBERS: Final = 5
 
 
 @compiled(nogil=True)
-def cheapest(cost: Floats, price: float, total: Floats, moved: Flags, best: Integers, path: Integers) -> None:
+def cheapest(cost: Singles, price: float, total: Floats, moved: Flags, best: Integers, path: Integers) -> None:
     """Write the column of each row of a table of costs for which all together, with a price a change, are least.
 
     Parameters
     ----------
     cost
-        The table, shape (m, l).
+        The table in single precision, shape (m, l).
     price
         Cost of a change of the column from one row to the next.
     total
