@@ -104,6 +104,17 @@ def test_a_balance_that_does_not_change_is_not_doubted(rng) -> None:
     assert left_open <= 1
 
 
+def test_what_a_change_would_do_that_a_record_does_not_show_is_told(rng) -> None:
+    """24 s tell the natural frequency to 0.08 %, and half of them not decisively from one that is 0.5 % higher."""
+    force, record = run(rng, 1.005)
+    found = estimate_force(record, T128)
+    (assumed,) = [one for one in found.assumed if one.kind == "natural frequency"]
+    assert "the same all along" in assumed.text
+    # to first order, of the force as it is found, whose noise adds 0.2 N; the change lies near the natural frequency,
+    # where a record of this length shows 24 ordinates a Hz: within a quarter
+    assert assumed.effect == pytest.approx(rms(found.only.values - force), rel=0.25)
+
+
 def test_stretches_of_one_resonance_are_apart_by_chance_alone(rng) -> None:
     """Twice the gain has chi squared of two degrees of freedom a stretch but one: a mean of 6, a variance of 12."""
     count = trials(12, 60)

@@ -70,6 +70,10 @@ class AssumptionSettings:
         components, over the scatter of the force, from which it is told.
     told
         Its standard uncertainty by the record, over that, up to which the record tells it.
+    steady
+        The same of a natural frequency, up to which the record shows one that changes by so much halfway: half of it
+        tells 1.4 times worse and is believed from a gain in log-likelihood of 10 on, which is 4.5 standard
+        uncertainties, and what is learned of the force's spectrum takes half of what is told.
     first
         Samples of a record that are asked first whether they tell it.
     rounding
@@ -92,6 +96,7 @@ class AssumptionSettings:
     drift: float = 0.001
     matters: float = 0.1
     told: float = 0.5
+    steady: float = 0.1
     first: int = 1 << 15
     rounding: float = 1e-9
     band: float = 1e-4
@@ -322,6 +327,7 @@ def _of_single(record: SingleRecord, fit: SmootherResult, unit: str) -> Iterator
     yield from _of_gain(record.recording, record.recording.channel(name), fit.force - acting, least=0.0)
     if own.uncertainty("mass") == 0:
         yield from _of_mass(own.mass, acting, name, least=0.0)
+    off = f"{100 * SETTINGS.frequency:g} % more or less"
     yield from _of_dynamics(
         record,
         fit,
@@ -329,7 +335,9 @@ def _of_single(record: SingleRecord, fit: SmootherResult, unit: str) -> Iterator
         kind="natural frequency",
         stated=own.uncertainty("natural_frequency") / (SETTINGS.frequency * own.natural_frequency),
         text=f"the natural frequency of {name} is {own.natural_frequency:.5g} Hz, which this record does not tell: "
-        f"{100 * SETTINGS.frequency:g} % more or less would change the force by {{}}",
+        f"{off} would change the force by {{}}",
+        changing=f"the natural frequency of {name} is the same all along, of which this record tells the mean and no "
+        f"more: {off} from halfway on would change the force by {{}}",
     )
     if own.damping_ratio > 0:
         yield from _of_dynamics(
@@ -344,35 +352,56 @@ def _of_single(record: SingleRecord, fit: SmootherResult, unit: str) -> Iterator
 
 
 def _of_dynamics(
-    record: SingleRecord, fit: SmootherResult, other: Dynamics, *, kind: str, stated: float, text: str
+    record: SingleRecord,
+    fit: SmootherResult,
+    other: Dynamics,
+    *,
+    kind: str,
+    stated: float,
+    text: str,
+    changing: str | None = None,
 ) -> Iterator[Assumption]:
     """What is assumed of the dynamics, by others that are usual, unless the record tells them or an uncertainty does.
 
-    `stated` is the standard uncertainty of what they are other in, over how far they are off [1].
+    `stated` is the standard uncertainty of what they are other in, over how far they are off [1]; `changing` is said
+    where the record tells them as a whole and would not if they changed halfway.
     """
     if stated > SETTINGS.told:
         return
-    if fit.force.size > SETTINGS.first and _tells(fit, other, slice(0, SETTINGS.first)):  # most records tell it soon
+    least = SETTINGS.told if changing is None else SETTINGS.steady
+    count = fit.force.size
+    some = min(SETTINGS.first, count)
+    told = _told_by(fit, other, some)  # most records tell it soon
+    if told < least:
         return
     error = error_under(fit.force, own=record.dynamics, other=other, interval=record.interval)
     effect = float(np.sqrt(np.mean(error**2)))
     rounding = SETTINGS.rounding * float(np.sqrt(np.mean(fit.force**2)))
     if effect <= max(SETTINGS.matters * float(np.sqrt(np.mean(fit.variance))), rounding):
         return
-    if not _tells(fit, other, slice(0, fit.force.size)):
-        yield _told(kind, record.dynamics.component, text, effect, si_unit(record.dynamics.component))
+    if count > some:  # what is told already is told better in proportion
+        told = _told_by(fit, other, count) if told >= SETTINGS.told else told * float(np.sqrt(some / count))
+    name = record.dynamics.component
+    if told >= SETTINGS.told:
+        yield _told(kind, name, text, effect, si_unit(name))
+    elif changing is not None and told >= least:
+        effect = float(np.sqrt(np.sum(error[count // 2 :] ** 2) / count))
+        yield _told(kind, name, changing, effect, si_unit(name))
 
 
-def _tells(fit: SmootherResult, other: Dynamics, within: slice) -> bool:
-    """Whether the first samples of a record tell its dynamics from others, or cannot be asked."""
-    reading = replace(fit.reading, values=fit.reading.values[within])
+def _told_by(fit: SmootherResult, other: Dynamics, count: int) -> float:
+    """How well the first samples of a record tell its dynamics from others [1]; 0 where they cannot be asked.
+
+    It is the standard uncertainty of how far they are others, 1 for those; infinite where nothing shows them.
+    """
+    reading = replace(fit.reading, values=fit.reading.values[:count])
     known = instant_columns(reading, fit.steps, heights=[step.height for step in fit.steps])[0]
     columns = np.column_stack([known, _shown_by(fit, reading, other)])
     try:
         _, covariance, _ = generalised_least_squares(fit.filter.over(reading.present), reading.filled, columns)
     except FitError:
-        return True
-    return 0 < float(np.sqrt(covariance[-1, -1])) < SETTINGS.told
+        return 0.0
+    return float(np.sqrt(covariance[-1, -1])) or np.inf
 
 
 def _shown_by(fit: SmootherResult, reading: Observation, other: Dynamics) -> Array:
