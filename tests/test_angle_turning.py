@@ -58,7 +58,7 @@ def noisy(values, generator):
     return values + generator.normal(0, NOISE, values.size)
 
 
-@pytest.mark.soak(first=1)
+@pytest.mark.soak(first=0)
 @pytest.mark.parametrize("angle", ["pitch", "roll"])
 def test_turning_that_an_angle_shows_is_told_with_its_size(angle, rng):
     size = 20.0

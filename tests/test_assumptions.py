@@ -142,6 +142,7 @@ def test_zero_of_the_pitch_and_the_mass_change_the_force_by_as_much(angle):
     assert not {"pitch zero", "mass"} & set(effects(told))
 
 
+@pytest.mark.soak(first=0)
 def test_gain_and_mass_of_coupled_components_change_the_forces_by_as_much(rng):
     """1 % of all gauge outputs, and of the mass, of a balance whose model is swept in pitch under a slow load."""
     balance = random_balance(rng)
@@ -185,6 +186,7 @@ def test_gain_and_mass_of_coupled_components_change_the_forces_by_as_much(rng):
     assert not {"gain", "mass"} & {one.kind for one in stated.assumed}
 
 
+@pytest.mark.soak(first=0)
 def test_bridges_that_are_read_one_after_the_other_change_the_forces_by_as_much(rng):
     """Six components in a steady state of many sines, each read 10 us after the one before: the readings are exact."""
     balance = random_balance(rng)

@@ -108,6 +108,7 @@ def test_a_wrong_reading_is_named_where_the_other_bridges_would_have_shown_its_l
 @pytest.mark.soak(
     first=16
 )  # the choice of terms for the loads of a stand takes as long as all others, and is made once
+@pytest.mark.soak(first=4)
 def test_one_mistake_is_named_by_its_point_and_kind(make, model: str, change: Change, rng) -> None:
     schedule = make(rng)
     point, index = a_load(schedule, rng)

@@ -35,6 +35,7 @@ def test_bands_make_up_the_whole(rng):
 
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")  # the dynamics are others
+@pytest.mark.soak(first=0)
 def test_stiffness_and_damping_are_told_by_each_record(rng):
     # k = M w^2 and b = 2 M z w: a balance whose stiffness is 2 % higher, and its damping 1.5 times as large
     known = spring()

@@ -31,6 +31,7 @@ def judged(found: Campaign, test: WholeTest) -> None:
     assert not {"stiffness", "damping"} & set(flags), flags  # the dynamics are those of the test
 
 
+@pytest.mark.soak(first=0)
 def test_a_few_runs_and_a_zero_that_changed(tmp_path, rng):
     test = simulated_test(
         tmp_path / "test", rng, angles=[6.0], polars=4, broken=1, drifted=1, change_at=2, calibration=False

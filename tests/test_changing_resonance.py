@@ -115,6 +115,7 @@ def test_what_a_change_would_do_that_a_record_does_not_show_is_told(rng) -> None
     assert assumed.effect == pytest.approx(rms(found.only.values - force), rel=0.25)
 
 
+@pytest.mark.soak(first=0)
 def test_stretches_of_one_resonance_are_apart_by_chance_alone(rng) -> None:
     """Twice the gain has chi squared of two degrees of freedom a stretch but one: a mean of 6, a variance of 12."""
     count = trials(12, 60)

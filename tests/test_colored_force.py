@@ -147,7 +147,7 @@ def test_color_of_the_floor_is_seen(rng):
 
 
 @pytest.mark.parametrize("seed", [0, 7, 15, 21])
-@pytest.mark.soak(first=2)
+@pytest.mark.soak(first=0)
 @pytest.mark.filterwarnings(
     "ignore:.*taken for noise of the electronics:aerobalance.recording.errors.DataQualityWarning"
 )
@@ -182,6 +182,7 @@ def test_what_other_dynamics_explain_is_no_noise_of_a_color(rng, kind, edge, tru
 
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+@pytest.mark.soak(first=0)
 def test_noise_that_rises_with_frequency_is_no_force(rng):
     """As a converter shapes it, by the fourth power, and its filter cuts it off: it is passed as a power of frequency.
 
@@ -210,6 +211,7 @@ def test_noise_that_rises_with_frequency_is_no_force(rng):
     assert missed <= 1
 
 
+@pytest.mark.soak(first=0)
 def test_noise_behind_a_filter_is_no_force(rng):
     """White noise that a converter's filter takes off from 250 Hz on, as in any record that is sampled fast."""
     felt, force = load_of_band(rng, 30, rms=500)
@@ -338,7 +340,7 @@ def smooth_noise(f: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("density", [band_of_noise, cut_of_a_filter, noise_of_a_converter, smooth_noise])
 @pytest.mark.parametrize("ratio", [1.0, 1.5, 0.6])
 @pytest.mark.filterwarnings("ignore:.*times the power that it has in the record of noise, all of it alike:UserWarning")
-@pytest.mark.soak(first=4)
+@pytest.mark.soak(first=1)
 def test_force_beside_noise_with_edges(rng, density, ratio):
     """With a record of noise alone nothing of it is taken for force; another level is told and followed."""
     calm = record_of(noise_of(rng, density))
@@ -363,6 +365,7 @@ def test_force_beside_noise_with_edges(rng, density, ratio):
         assert float(text.split(" has ")[1].split(" times")[0]) == pytest.approx(ratio, rel=0.15)
 
 
+@pytest.mark.soak(first=0)
 def test_white_part_that_is_another_is_told_beside_a_band(rng):
     noise = noise_of_component(force_record(record_of(noise_of(rng, band_of_noise)), T128).component_record("AF"))
     values = noise_of(rng, lambda f: band_of_noise(f) + 2 * WHITE, n=N, longer=4)
@@ -394,6 +397,7 @@ def test_bands_are_in_the_result():
 
 @pytest.mark.parametrize("factor", [0.1, 0.75, 10.0])
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+@pytest.mark.soak(first=1)
 def test_noise_that_a_channel_states_wrong_is_judged_from_the_run(rng, factor):
     """The force is that without the statement: with a tenth of the noise the rest would be taken for force."""
     felt, force = load_of_band(rng, 60, rms=60)
@@ -431,6 +435,7 @@ def force_up_to(edge: float, *, seed: int, noise: float) -> tuple[Recording, np.
 
 @pytest.mark.parametrize("noise", [0.2, 2.0])
 @pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.soak(first=2)
 def test_a_force_nearly_up_to_half_the_rate_is_a_force(seed, noise):
     """Ten hertz show the noise: the force is found up to 190 of 200 Hz to what white noise leaves of it."""
     record, force = force_up_to(190.0, seed=seed, noise=noise)
@@ -451,6 +456,7 @@ def test_a_force_nearly_up_to_half_the_rate_is_a_force(seed, noise):
 @pytest.mark.parametrize("noise", [0.2, 2.0])
 @pytest.mark.parametrize("seed", [0, 1, 2])
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+@pytest.mark.soak(first=2)
 def test_a_force_up_to_half_the_rate_that_may_be_noise_is_in_the_uncertainty(seed, noise):
     """No frequency is left without force: what is taken for noise of it, a third of its power, counts by its odds."""
     record, force = force_up_to(199.5, seed=seed, noise=noise)

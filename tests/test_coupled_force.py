@@ -161,6 +161,7 @@ def test_one_component_is_the_axial_way(rng) -> None:
         assert [step.instant for step in other.steps] == pytest.approx([step.instant for step in alone.steps])
 
 
+@pytest.mark.soak(first=0)
 def test_parameters_are_felt_as_they_are_wrong(rng) -> None:
     """Matrices that are off by a draw from their covariance: the force is off by what the slopes say."""
     balance, dynamics = _drawn(rng)

@@ -203,7 +203,7 @@ def test_a_fault_of_the_accelerometer_is_named_with_its_size(name, kind, told):
     "name", ["0-100 Hz, 200 N, shaken", "step, shaken", "soft 30 Hz, 100 N, pitching", "constant", "two steps"]
 )
 @pytest.mark.parametrize("seed", [0, 1])
-@pytest.mark.soak(first=4)
+@pytest.mark.soak(first=2)
 def test_a_sound_record_is_fit_for_use(name, seed):
     force, _ = tried(CASES[name], seed)
     assert force.doubts == ()
@@ -307,7 +307,7 @@ def test_hum_that_is_taken_for_force_is_told_and_counted(load):
 
 
 @pytest.mark.parametrize("drift", ["0.3", "0"])
-@pytest.mark.soak(first=1)
+@pytest.mark.soak(first=0)
 def test_a_record_of_noise_tells_hum_that_the_load_hides(drift):
     """The line is in the uncertainty, of a size that the other record tells: the load has 170 times its power."""
     case = CASES[f"hum of 5 N at 50 Hz that drifts by {drift} Hz, 0-100 Hz, with a record of noise"]
@@ -328,7 +328,7 @@ def test_a_record_of_noise_tells_hum_that_the_load_hides(drift):
 
 
 @pytest.mark.parametrize("load", ["0-20 Hz", "step", "none"])
-@pytest.mark.soak(first=1)
+@pytest.mark.soak(first=0)
 def test_noise_behind_a_filter_is_no_other_resonance(load):
     """Noise of 2 N up to 500 Hz alone: below the resonance a faint force had taken up a half of it."""
     case = CASES[f"noise to 500 Hz, {load}"]
@@ -481,6 +481,7 @@ def test_a_resonance_above_half_the_rate_tells_no_change(rng):
     assert found.damping is None
 
 
+@pytest.mark.soak(first=0)
 def test_delays_of_channels_do_not_hide_how_resonances_have_changed(rng):
     """The same readings, one channel two milliseconds late and said to be: the same changes."""
     late, count = 8, 16_000
@@ -497,7 +498,7 @@ def test_delays_of_channels_do_not_hide_how_resonances_have_changed(rng):
 
 
 @pytest.mark.parametrize("place", [0.96, 1.1, 1.4], ids="at {} of the lowest natural frequency".format)
-@pytest.mark.soak(first=1)
+@pytest.mark.soak(first=0)
 def test_where_a_load_ends_no_change_of_a_resonance_is_told(place, rng):
     """Of a right likelihood the slope at the truth has a mean of 0 and the curvature for its variance (Fisher).
 

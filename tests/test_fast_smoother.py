@@ -111,8 +111,9 @@ def simulated(rng: np.random.Generator, system: StateSpace, n: int) -> np.ndarra
     return values + np.sqrt(system.noise_variance) * rng.normal(size=n)
 
 
-@pytest.mark.parametrize(("kind", "n"), [("whole", 2500), ("whole", 50), ("gaps", 2500), ("a long gap", 4000)])
+@pytest.mark.soak(first=2 * len(MODELS))
 @pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize(("kind", "n"), [("gaps", 2500), ("whole", 50), ("a long gap", 4000), ("whole", 2500)])
 def test_smoothing_by_blocks_is_smoothing_sample_by_sample(model, kind, n, rng):
     system = MODELS[model]()
     present = gaps(n, kind)

@@ -194,6 +194,7 @@ def test_band_limited_inverse_is_exact_on_a_sine_in_band():
 
 
 @pytest.mark.parametrize(("bandwidth", "gain"), [(400.0, 11.0), (200.0, 1.7), (132.0, 0.5)])
+@pytest.mark.soak(first=1)
 def test_noise_gain_of_the_band_limited_inverse(bandwidth, gain, rng):
     estimate = estimate_force(record(AF=(rng.normal(0, 1, 30_000), {"noise": 1.0})), T128, bandwidth=bandwidth).only
     f = np.linspace(0, RATE / 2, 200_001)

@@ -35,7 +35,7 @@ def run_with_gap(
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")  # the gap is told
 @pytest.mark.parametrize(("gap", "samples"), [(400, 2400), (40, SAMPLES), (400, SAMPLES)])
-@pytest.mark.soak(first=2)
+@pytest.mark.soak(first=1)
 def test_a_step_at_any_time_in_a_gap_is_covered(gap: int, samples: int, rng) -> None:
     """Of 25 ms, one and a half periods, and of 250 ms, after which nothing rings any more; also in 1.5 s."""
     squares, count = [], trials(2, 60)
@@ -55,6 +55,7 @@ def test_a_step_at_any_time_in_a_gap_is_covered(gap: int, samples: int, rng) -> 
 
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+@pytest.mark.soak(first=0)
 def test_gaps_without_a_step_are_as_uncertain_as_before(rng) -> None:
     """A change of five scatters is one in 2e6: none by chance; nor is a gap looked at that hides no instant."""
     for _ in range(trials(2, 40)):

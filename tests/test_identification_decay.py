@@ -415,7 +415,7 @@ def bent_release(generator: np.random.Generator, *, damping: float = 0.0, freque
 
 
 @pytest.mark.parametrize(("damping", "frequency"), [(0.1, 0.0), (-0.1, 0.0), (0.0, 3e-4)])
-@pytest.mark.soak(first=1)
+@pytest.mark.soak(first=0)
 def test_amplitude_dependence_is_found_and_warned_about(damping, frequency, rng):
     said = "damping of AF depends" if damping else "frequency of AF depends"
     with pytest.warns(DataQualityWarning, match=said):

@@ -130,6 +130,7 @@ def test_a_release_soon_after_the_record_begins_is_found(rng):
         assert abs(found.onset - (instant - cut)) <= 4  # the readings that a free decay begins after an onset
 
 
+@pytest.mark.soak(first=0)
 def test_a_blow_is_used_from_where_it_decays_freely(rng):
     true = truth()
     time = np.arange(round(SECONDS * RATE)) / RATE

@@ -93,7 +93,7 @@ def test_the_force_is_held_against_the_balance(rng):
         (Hammer(noise=1.0, gain=-1.0), "force sign"),
     ],
 )
-@pytest.mark.soak(first=5)
+@pytest.mark.soak(first=2)
 def test_a_faulty_force_is_named_and_does_no_harm(rng, hammer, kind):
     blows = tuple(Blow(0.3 + 1.5 * number, 1800.0 + 250 * number, 0.004) for number in range(4))
     record = Tapping(ONE, np.array([1.0]), blows, hammer=hammer, noise=np.array([2.0]), rate=5000.0).record(6.3, rng)

@@ -26,6 +26,7 @@ from aerobalance.estimation.statespace import _kernels, blocks, kalman, model_dr
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, LOAD_RATE, KalmanFilter, StateSpace
 from aerobalance.estimation.statespace.model_draws import ModelDraws
 from helpers.butterworth import butterworth
+from seeds import trials
 
 BALANCE = Dynamics("AF", 177.87, 3.093e7, 8e3, further_modes=(Mode(165.0, 0.2, 0.05),))  # the gain settles soon
 NOISE = 200.0
@@ -268,6 +269,7 @@ def force_lines(kernels: ModuleType) -> Any:
     return kernels.ForceLines(lines, rows, noise, gain, told, 0.0)
 
 
+@pytest.mark.soak(first=1)
 @pytest.mark.parametrize("colored", [False, True])
 def test_levels_of_forces_are_the_likeliest(colored, rng):
     """Against a search by a library for the least of the same likelihood, written out with a determinant and inverse.
@@ -296,7 +298,7 @@ def test_levels_of_forces_are_the_likeliest(colored, rng):
 
     for one, (first, last) in enumerate(itertools.pairwise(bands)):
         places = np.arange(first, last)[forces.told[first:last]]
-        starts = rng.uniform(-8, 12, size=(8, 6 if colored else 3))
+        starts = rng.uniform(-8, 12, size=(trials(3, 8), 6 if colored else 3))
         tried = [minimize(lost, start, (places,), method="Nelder-Mead", options=FINE) for start in starts]
         if colored:  # of six numbers, some of them zero, a simplex may end early
             within = [(-40.0, 15.0)] * 6

@@ -228,6 +228,7 @@ def test_direct_inverses_of_parts_are_that_of_the_whole(rng, settings, rounding)
     assert found.budget[name] == pytest.approx(whole.budget[name], rel=1e-6)
 
 
+@pytest.mark.soak(first=0)
 def test_steps_and_numbers_hardly_depend_on_where_the_record_ends(rng):
     """Parts are others then, with priors of their own: an error of a tenth of u is half a percent of it."""
     record = run(rng, count=18_000, steps=(7168.3,))
@@ -381,6 +382,7 @@ def test_parts_that_contradict_each_other_are_told(rng):
     assert parts[1].uncertainty["AF"][joint] == pytest.approx(20.0, rel=0.05)
 
 
+@pytest.mark.soak(first=0)
 def test_dynamics_that_one_part_shows_to_be_others_count_in_those_after_it(rng):
     """A step rings with another frequency in the first part; later a slow force does not show it, and is as wrong.
 

@@ -185,6 +185,7 @@ def at_rest(rng, balance, name, count, *, sway=0.0, offset=0.0):
 
 
 @pytest.mark.parametrize("pitched", [False, True])
+@pytest.mark.soak(first=1)
 def test_components_of_a_tare_err_together_as_its_readings_do(rng, seed, pitched):
     balance = replace(random_balance(seed), natural_zero=None)
     run, zero = at_rest(rng, balance, "run", 400), Zero(at_rest(rng, balance, "zero", 400), model_on=False)
@@ -210,6 +211,7 @@ def test_components_of_a_tare_err_together_as_its_readings_do(rng, seed, pitched
     np.testing.assert_allclose(measured, stated, atol=5 * np.sqrt(2 / (repeats - 1)))
 
 
+@pytest.mark.soak(first=0)
 def test_an_error_of_the_zero_that_a_tare_takes_off_with_it_is_not_counted(rng, seed):
     """Loads of a run less those of a tare, from zeros that are read anew: what is left of their errors is nothing."""
     balance = replace(random_balance(seed), natural_zero=None)

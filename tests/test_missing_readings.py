@@ -18,7 +18,7 @@ from seeds import trials
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")  # the gaps are told
 @pytest.mark.parametrize(("channel", "milliseconds"), [("PM", 1), ("AF", 2), ("PM", 4)])
-@pytest.mark.soak(first=1)
+@pytest.mark.soak(first=0)
 def test_gaps_under_broad_loads_are_covered(channel: str, milliseconds: int, rng) -> None:
     inside, after, errors = [], [], []
     records, clock = trials(1, 4), replace(SIX, samples=2700)

@@ -96,7 +96,7 @@ def test_sound_records_are_not_doubted(maker, rng) -> None:
 @pytest.mark.parametrize(
     "maker", [step(0.5), soft(0.1, 30.0, 2.0), soft(0.3, 3.0, 2.0)], ids=["release", "gust", "slow"]
 )
-@pytest.mark.soak(first=1)
+@pytest.mark.soak(first=0)
 def test_one_load_that_acts_in_all_components_moves_no_mode(maker, rng) -> None:
     """A release, or a gust: with forces taken for independent one mode had moved, by a gain of up to 219.
 
@@ -110,7 +110,7 @@ def test_one_load_that_acts_in_all_components_moves_no_mode(maker, rng) -> None:
         assert force.verdict == Verdict.FIT
 
 
-@pytest.mark.soak(first=2)
+@pytest.mark.soak(first=0)
 def test_a_mode_that_has_moved_is_told_by_a_release(rng) -> None:
     """One of 218 Hz that is 5 % lower, by which the moment about it was off by 500 of its uncertainties."""
     moved_by = np.array([-0.05, 0.0])
@@ -224,7 +224,7 @@ def _far_off(scene: SixScene, factor: float, rng: np.random.Generator, *, may_be
 
 
 @pytest.mark.parametrize("maker", [band(0.1, 0, 347), soft(0.1, 30.0)], ids=["broad", "soft"])
-@pytest.mark.soak(first=1)
+@pytest.mark.soak(first=0)
 def test_modes_that_have_moved_a_little_are_counted_at_least(maker, rng) -> None:
     """By 3 % the error is 400 times the uncertainty of a sound record, and half a second hardly tells it.
 
@@ -397,7 +397,7 @@ def test_modes_that_no_longer_ring_are_none_that_have_moved() -> None:
 
 
 @pytest.mark.parametrize("turning", ["acceleration", "rate"])
-@pytest.mark.soak(first=1)
+@pytest.mark.soak(first=0)
 def test_noise_of_the_grounds_sensors_is_no_ringing(turning, seed):
     """It rings in all components at once, which no independent forces do; of 16 records 4 were doubted so.
 
@@ -502,7 +502,7 @@ def steps_in_turbulence(clock: Clock, rng: np.random.Generator) -> Array:
 @pytest.mark.parametrize(
     "maker", [turbulence, steps_in_turbulence, band(0.05, 0, 180)], ids=["turbulence", "steps", "band"]
 )
-@pytest.mark.soak(first=1)
+@pytest.mark.soak(first=0)
 def test_components_of_very_different_frequencies_are_not_exchanged(maker: Maker, noise: float, rng) -> None:
     assert not exchanges(wide_record(maker, rng, noise=noise))
 
@@ -621,7 +621,7 @@ def test_what_fills_a_long_gap_is_no_ringing(seed: int, gap: tuple[float, float]
 
 
 @pytest.mark.parametrize(("samples", "moved_by"), [(4000, 0.005), (64_000, 0.0)], ids=["2 s", "32 s"])
-@pytest.mark.soak(first=1)
+@pytest.mark.soak(first=0)
 def test_natural_frequencies_that_a_record_does_not_tell_are_assumed(samples: int, moved_by: float, rng) -> None:
     """Half a percent of all is seen by nothing in 2 s: the force by the balance's own dynamics differs by as much."""
     dynamics = wide()

@@ -98,6 +98,7 @@ def test_a_tone_beside_a_broad_load_is_a_force(seed):
         assert assumed.effect == pytest.approx(20.0 / np.sqrt(2), rel=0.05)
 
 
+@pytest.mark.soak(first=0)
 def test_a_line_that_would_be_the_largest_force_of_all_is_told(seed):
     """An interference of 0.5 N at 683 Hz, beside 10 N below 30 Hz, was a force of 32 N with 2 N of uncertainty."""
     rate, weakened = 1600.0, float(np.abs(dynamics().response(np.array([683.0])))[0])
@@ -115,6 +116,7 @@ def test_a_line_that_would_be_the_largest_force_of_all_is_told(seed):
 
 
 @pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.soak(first=1)
 def test_what_a_straight_line_leaves_in_a_gap_is_no_interference(seed):
     (case,) = (one for one in sound() if one.name == "0-100 Hz, 200 N, a short gap")
     assert trial((case, seed))["verdict"] == Verdict.FIT

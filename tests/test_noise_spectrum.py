@@ -222,6 +222,7 @@ def learned(rng, density, *, n: int = 16_000) -> NoiseSpectrum:
 
 @pytest.mark.parametrize("n", [8_000, 16_000, 96_000])
 @pytest.mark.parametrize(("corner", "level"), [(0.0, 2.0), (0.0, 50.0), (20.0, 50.0)])
+@pytest.mark.soak(first=3)
 def test_band_is_found_with_its_edges(rng, n, corner, level):
     """Its edges at multiples of 50 Hz, where a step of the density is no line of the mains."""
     found = learned(rng, lambda f: WHITE * (1 + corner / f) + between(250, 350, level)(f), n=n)
@@ -277,6 +278,7 @@ def test_noise_of_a_converter_that_rises_as_a_power_is_one_band(rng, fallen):
     assert np.all(np.abs(np.log(found.density(frequency) / truth)) < 0.15)
 
 
+@pytest.mark.soak(first=0)
 def test_smooth_noise_has_no_edges():
     """A hump of any height, a corner, both, and white noise: chance makes no bands of them."""
     hump, high = Hump(300.0, 0.4, 2 * WHITE), Hump(300.0, 0.2, 50 * WHITE)

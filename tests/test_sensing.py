@@ -246,6 +246,7 @@ def test_what_a_filter_takes_off_a_force_is_counted(rng):
 
 
 @pytest.mark.parametrize("kind", ["bessel", "butterworth"])
+@pytest.mark.soak(first=1)
 def test_the_end_behind_a_filter_is_no_step(rng, kind):
     """A filter is late: what its inverse asks for at the end has not been read, and is no sudden force there."""
     for _ in range(4):

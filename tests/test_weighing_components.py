@@ -519,6 +519,7 @@ def test_recordings_give_all_components_at_once():
     assert set(found.centre_of_gravity) == set(AXES)
 
 
+@pytest.mark.soak(first=0)
 def test_errors_of_components_are_correlated_as_those_of_weighings_over_again(rng):
     """Errors of the loads at other attitudes over many weighings, each with noise of its own."""
     pitch, roll = grid(4)

@@ -194,6 +194,7 @@ def test_the_worst_part_is_told_by_the_time_of_the_record(rng) -> None:
     assert last - first > 0.5 * (stamps[-1] - stamps[0])  # neighbours have less than a quarter at either end
 
 
+@pytest.mark.soak(first=0)
 def test_budget_and_spectrum_are_those_of_the_own_clock(rng) -> None:
     for _ in range(8):  # some records leave noise of a color or other dynamics open, each clock by its own lights
         _, load = force_and_load(rng, steps=())
@@ -329,6 +330,7 @@ def about(length: int, begins: np.ndarray = GAPS) -> np.ndarray:
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
 @pytest.mark.parametrize("fault", ["1 missing", "6 missing", "wild"])
+@pytest.mark.soak(first=1)
 def test_a_few_samples_that_are_missing_or_wild_are_filled_on_the_own_clock(fault: str, rng) -> None:
     truth, load = force_and_load(rng, steps=())
     length = 6 if fault == "6 missing" else 1
@@ -359,7 +361,7 @@ def test_a_few_samples_that_are_missing_or_wild_are_filled_on_the_own_clock(faul
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
 @pytest.mark.parametrize("length", [300, 30, 3000])
-@pytest.mark.soak(first=1)
+@pytest.mark.soak(first=0)
 def test_long_gaps_are_gaps_of_the_slower_clock(length: int, rng) -> None:
     scores, over = [], []
     for _ in range(trials(1, 8)):
@@ -381,7 +383,7 @@ def test_long_gaps_are_gaps_of_the_slower_clock(length: int, rng) -> None:
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
 @pytest.mark.parametrize("late", [2, -1, 0, 4])
-@pytest.mark.soak(first=1)
+@pytest.mark.soak(first=0)
 def test_a_step_in_a_gap_is_found(late: int, rng) -> None:
     """What bends in the gap is not filled; the step is found between the samples on either side."""
     truth, load = force_and_load(rng)
@@ -456,6 +458,7 @@ def test_many_gaps_put_a_record_of_one_part_on_a_slower_clock(rng) -> None:
 
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+@pytest.mark.soak(first=0)
 def test_many_gaps_are_reason_enough_for_a_clock_a_third_as_fast(rng) -> None:
     """A record of 1600 Hz keeps its clock, as little is gained; but each gap costs as much as a second of it."""
     scores, over = [], []
