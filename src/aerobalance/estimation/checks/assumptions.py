@@ -372,6 +372,8 @@ def _of_dynamics(
     count = fit.force.size
     some = min(SETTINGS.first, count)
     told = _told_by(fit, other, some)  # most records tell it soon
+    if told < SETTINGS.told:
+        told *= float(np.sqrt(some / count))  # and what is told already, all of them better in proportion
     if told < least:
         return
     error = error_under(fit.force, own=record.dynamics, other=other, interval=record.interval)
@@ -379,8 +381,8 @@ def _of_dynamics(
     rounding = SETTINGS.rounding * float(np.sqrt(np.mean(fit.force**2)))
     if effect <= max(SETTINGS.matters * float(np.sqrt(np.mean(fit.variance))), rounding):
         return
-    if count > some:  # what is told already is told better in proportion
-        told = _told_by(fit, other, count) if told >= SETTINGS.told else told * float(np.sqrt(some / count))
+    if told >= SETTINGS.told and count > some:
+        told = _told_by(fit, other, count)
     name = record.dynamics.component
     if told >= SETTINGS.told:
         yield _told(kind, name, text, effect, si_unit(name))
