@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.fft import irfft, rfft
 
 from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.estimation.applied_force import Force
@@ -24,8 +23,10 @@ from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.side_by_side import one_after_the_other
 from aerobalance.simulation import CableCut
 from helpers.accuracy import RIG, WIDE, density
+from helpers.yardstick import Yardstick
 
 RATE = 25_000.0
 EVERY = 4
@@ -83,11 +84,17 @@ def test_time_grows_as_the_record_does(record, rng) -> None:
 
 @pytest.mark.alone
 def test_a_further_sample_of_one_component(record, rng) -> None:
+    """By one thread, as the transforms: two that share a processor's core each take longer for the same."""
     values = load_of(rng, 10_000_000)
     shorter = values[:2_000_000]
-    spent(lambda: force_of(shorter))
-    further = (spent(lambda: force_of(values)) - spent(lambda: force_of(shorter))) / (values.size - shorter.size)
-    transform = min(spent(lambda: irfft(rfft(shorter))) for _ in range(5)) / shorter.size
+    yardstick, times = Yardstick(shorter), []
+    with one_after_the_other():
+        spent(lambda: force_of(shorter))
+        for some in (shorter, values):
+            yardstick.beside()
+            times.append(spent(lambda some=some: force_of(some)))
+    yardstick.beside()
+    further, transform = (times[1] - times[0]) / (values.size - shorter.size), yardstick.transform
     print(f"a further sample {further / transform:.1f} transforms of {1e9 * transform:.1f} ns")  # noqa: T201
     record(
         "40 transforms over the time of a further sample, 1e7 of one component at 25 kHz",

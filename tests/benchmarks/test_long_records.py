@@ -13,13 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from scipy.fft import irfft, rfft
 
 from aerobalance.app.demos.six_demo import DemoFolder, calibrated, identified, largest_felt, weighed
 from aerobalance.io import write_recording
 from aerobalance.simulation import SixComponentRig
 from aerobalance.simulation.six_balance import random_balance
 from aerobalance.simulation.six_signals import Band, broadband, random_motion
+from helpers.yardstick import Yardstick
 
 LARGEST = 500.0
 """Most memory that the program may have resident [MB]."""
@@ -64,16 +64,6 @@ def spent(words: list[str]) -> Spent:
     return Spent(float(run.stderr.splitlines()[-1].split()[1]) / 1024, processor, clock)
 
 
-def transform(samples: int, rng: np.random.Generator) -> float:
-    """Processor time of a Fourier transform there and back, for each sample [s]."""
-    values, found = rng.normal(size=samples), []
-    for _ in range(6):
-        begin = time.process_time()
-        irfft(rfft(values))
-        found.append(time.process_time() - begin)
-    return min(found[1:]) / samples
-
-
 @pytest.mark.alone
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")  # of the way to the dynamics
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="memory is told by the kernel of Linux")
@@ -97,6 +87,7 @@ def test_long_records_of_six_components(tmp_path: Path, record, seed: int) -> No
     assert len(kept) == CHANNELS
     found = []
     counts = [int(seconds * RATE) for seconds in SECONDS]
+    yardstick = Yardstick(np.random.default_rng(seed).normal(size=counts[0]))
     for place, samples in enumerate(counts):
         path = tmp_path / f"run_{place}.h5"
         write_recording(path, made.part(0, samples))
@@ -104,9 +95,11 @@ def test_long_records_of_six_components(tmp_path: Path, record, seed: int) -> No
         words += ["--zero", str(files.zero[0]), "-o", str(tmp_path / f"force_{place}.h5")]
         if not place:
             spent([*words, "--replace"])  # compiles
+        yardstick.beside()
         found.append(spent([*words, "--replace"]))
     few, many = found
-    own = transform(counts[0], np.random.default_rng(seed))
+    yardstick.beside()
+    own = yardstick.transform
     further = (many.processor - few.processor) / (counts[1] - counts[0]) / COMPONENTS
     told = [f"{one.memory:.0f} MB, {one.processor:.2f} s of processor, {one.clock:.2f} s" for one in found]
     print(f"{SECONDS} s of six components: {told}; a further sample {further / own:.0f} transforms")  # noqa: T201
