@@ -20,8 +20,9 @@ HEAD = """# Benchmarks
 What `make bench` measures on simulated records whose truth is known. Every row is a ratio of two numbers of one run.
 Times are processor times, mostly over that of a yardstick on the same arrays, such as `scipy.fft.rfft` and `irfft`
 there and back, so that they are nearly the same on every machine. Rows that name seconds, cores or the length of a
-record are not: how fast the machine was stands under its own heading. A ratio holds where it is at least its target; a
-target of 0 is no more than a row to be read. This page is written by `python docs/benchmarks.py`.
+record are not: how fast the machine was stands under its own heading, and one that others use too is half as fast in
+some minutes as in others. A ratio holds where it is at least its target; a target of 0 is no more than a row to be
+read. This page is written by `python docs/benchmarks.py`.
 """
 
 BEFORE = """
