@@ -20,7 +20,6 @@ from aerobalance.io import read
 from aerobalance.recording.components import COMPONENTS
 from aerobalance.recording.errors import warn_quality
 from helpers.pages import ROOT, commands, python
-from seeds import trials
 
 
 @pytest.mark.slow
@@ -68,8 +67,7 @@ def test_six_components_from_millivolts_to_forces(
     for name in ("run.h5", "balance.json", "zero.h5", "dynamics.json", "truth.csv"):
         assert hashlib.sha256((tmp_path / name).read_bytes()).hexdigest() in page, name
     monkeypatch.chdir(tmp_path)
-    for _ in range(trials(0, 1)):  # the same commands as the demo's, of which others are shown and run elsewhere
-        as_shown_on_the_pages(capsys)
+    as_shown_on_the_pages(capsys)
 
 
 def as_shown_on_the_pages(capsys: pytest.CaptureFixture[str]) -> None:
