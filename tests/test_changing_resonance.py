@@ -111,8 +111,8 @@ def test_what_a_change_would_do_that_a_record_does_not_show_is_told(rng) -> None
     found = estimate_force(record, T128)
     (assumed,) = [one for one in found.assumed if one.kind == "natural frequency"]
     assert "the same all along" in assumed.text
-    # to first order, of the force as it is found, whose noise adds 0.2 N; the change lies near the natural frequency,
-    # where a record of this length shows 24 ordinates a Hz: within a quarter
+    # Of one realisation: what differs lies within some 1.5 Hz about the resonance, of which half a record has 18
+    # ordinates, whose rms scatters by 1 / (2 sqrt(18)) = 12 %; two of that.
     assert assumed.effect == pytest.approx(rms(found.only.values - force), rel=0.25)
 
 
