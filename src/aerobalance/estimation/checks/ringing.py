@@ -65,6 +65,8 @@ class RingingSettings:
         forces, whose chance averages out, and the most of one. A Hann window leaks 0.002 of a flat spectrum beyond its
         main lobe; a hundredth moves the slope of the likelihood by a hundredth of what chance does at one ordinate,
         and by a tenth of it over a hundred of them.
+    own
+        Share of the ordinates of a band that are clear, from which it tells whether forces go together.
     rounds
         Rounds by which the covariance of forces that go together is found: with ten the likelihoods of two balances
         differ by what they do after 300, to one in a hundred.
@@ -84,6 +86,7 @@ class RingingSettings:
     in_common: float = 10.0
     leaked: float = 0.01
     leaked_one: float = 0.1
+    own: float = 0.9
     rounds: int = 10
     noisy: float = 1e-3
 
@@ -350,20 +353,24 @@ class RingingSpectra:
 
     @cached_property
     def together(self) -> bool:
-        """Whether one load acts in several forces: a covariance is likelier than levels of each, its price paid."""
+        """Whether one load acts in several forces: a covariance is likelier than levels of each, its price paid.
+
+        Beyond the end of a load all forces have in common what the window leaks there: such bands are left out.
+        """
         widths = np.diff(np.append(self.bands, self.frequency.size))
         count, size = np.add.reduceat(self.shown, self.bands, dtype=int), len(self.noise)
+        own = np.add.reduceat(self.clear, self.bands, dtype=int) >= SETTINGS.own * widths
         # what the forces have in common first, noise among it: that is nearly nothing to work out
         lines = (self.readings(self.own) / np.sqrt(self.gain)).T * self.shown[:, None]
         power = np.repeat(np.add.reduceat(np.abs(lines) ** 2, self.bands), widths, axis=0)
         lines = lines / np.sqrt(np.maximum(power, 1e-300))
         alike = np.add.reduceat(lines[:, :, None] * lines[:, None, :].conj(), self.bands)
-        enough = count > size
+        enough = own & (count > size)
         gain = -np.linalg.slogdet(alike[enough])[1] @ count[enough] / HANN_BANDWIDTH
-        price = float(np.sum(self._price_of_covariance))
+        price = float(np.sum(self._price_of_covariance[own]))
         if gain < price:
             return False
-        return float(np.sum(self.evidence_together(self.own) - self.evidence_apart(self.own))) > price
+        return float(np.sum((self.evidence_together(self.own) - self.evidence_apart(self.own))[own])) > price
 
     def _forces(self, rows: Rows, told: NDArray[np.bool_]) -> ForceLines:
         """What rows make of the record, of one order in memory also of a stretch: the loops are compiled for each."""
