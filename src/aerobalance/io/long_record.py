@@ -58,9 +58,14 @@ def open_record(path: Path | str, *, channel_map: ChannelMap | None = None) -> I
             return
     size = file.stat().st_size
     if size > LARGE:
+        own = form is hdf5_file and channel_map is None
         warn_quality(
             f"{file.name}: this file of {size / 1e6:.0f} MB is read whole, and takes several times as much memory; "
-            "`aerobalance convert` it to .h5 once, which is read in parts"
+            + (
+                "it is read in parts only where its time is that of a steady clock without gaps"
+                if own
+                else "`aerobalance convert` it to .h5 once, which is read in parts"
+            )
         )
     yield read(file, channel_map=channel_map)
 
