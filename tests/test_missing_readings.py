@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
@@ -9,9 +10,12 @@ import pytest
 from scipy.stats import chi2
 
 from aerobalance.estimation import missing_readings
-from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.component_force import Fitted
+from aerobalance.estimation.force import estimate_force, force_record
+from aerobalance.estimation.missing_readings import MissingReadings
+from aerobalance.estimation.statespace import kalman
 from aerobalance.recording.components import COMPONENTS
-from aerobalance.recording.resampling import fractional_delay
+from aerobalance.recording.resampling import fractional_delay, interpolate_gaps
 from faults.six import HALF_RANGE, SIX, SixScene, balance, recording_of
 from seeds import trials
 
@@ -93,3 +97,28 @@ def test_what_fills_a_long_gap_is_in_the_uncertainty(late: float, rng, monkeypat
     # fills the gap the score was 12 and 15.
     independent = 2 * 347 * (near.stop - near.start) / SIX.rate
     assert np.max(scores) < np.sqrt(chi2.isf(1e-6 / np.size(scores), independent) / independent)
+
+
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+def test_many_missing_readings_of_a_long_record_take_little_memory(rng) -> None:
+    """A number for every missing reading and sample: as it is made and as it is whitened, and no more at once."""
+    given = SixScene(clock=replace(SIX, samples=20_000)).record(rng)
+    values = np.column_stack(list(given.columns.values()))
+    values[9000:9080, COMPONENTS.index("SF")] = np.nan
+    record = force_record(recording_of(values, SIX.rate), balance())
+    filled = interpolate_gaps(record.loads)
+    fits = {name: Fitted.without_steps(one) for name, one in record.component_records(filled).items()}
+    numbers, some = 8 * 80 * len(values), 8 * kalman.AT_ONCE
+    tracemalloc.start()
+    try:
+        before = tracemalloc.get_traced_memory()[0]
+        _, missing = MissingReadings.of(record, fits, filled=filled)
+        found = tracemalloc.get_traced_memory()[1] - before
+        tracemalloc.reset_peak()
+        error = missing.error(fits["SF"])
+        told = tracemalloc.get_traced_memory()[1] - before
+    finally:
+        tracemalloc.stop()
+    # of some series states, innovations and what they are made of, and readings of all components, are far fewer
+    assert found < 2 * numbers + 8 * some
+    assert told < error.slopes.nbytes + 12 * some

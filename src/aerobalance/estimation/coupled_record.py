@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.checks.clock import check_clock
 from aerobalance.estimation.correlated_noise import SharedNoise
 from aerobalance.estimation.decoupled_record import DecoupledRecord, balance_load
+from aerobalance.estimation.least_squares import root_of_covariance
 from aerobalance.estimation.record import BalanceRecord, component_channels
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.motion.platform import PlatformMotion
@@ -28,6 +30,9 @@ from aerobalance.recording.noise import noise_covariance
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import align_channels, fractional_delay, interpolate_gaps
 from aerobalance.recording.sensors import corrected
+
+AT_ONCE: Final = 1 << 12
+"""Samples at which free motions of all modes are made at once."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -256,12 +261,25 @@ def _free_motion(dynamics: CoupledDynamics, left: Array, present: NDArray[np.boo
     """Free motion of the balance that explains best what is left of the readings, shape (samples, n)."""
     poles, shapes, _ = dynamics.modal_form
     up = poles.imag >= 0
-    time = np.arange(left.shape[0]) * interval
-    columns = []
-    for pole, shape in zip(poles[up], shapes.T[up], strict=True):
-        swing = np.exp(pole * time)[:, None] * shape
-        columns += [swing.real, swing.imag]
     size = np.maximum(left.std(axis=0), 1e-60)
-    basis = np.stack([column / size for column in columns], axis=-1)
-    found, *_ = np.linalg.lstsq(basis[present], (left / size)[present], rcond=1e-10)
-    return np.asarray(basis @ found * size)
+    swinging = np.concatenate([shapes.T[up] / size, 1j * shapes.T[up] / size])
+    pieces = [slice(first, first + AT_ONCE) for first in range(0, len(left), AT_ONCE)]
+
+    def basis(piece: slice) -> Array:
+        """Real and imaginary parts of all motions, (m, n, 2 modes): of all samples they take as much as all else."""
+        time = np.arange(*piece.indices(len(left))) * interval
+        swing = np.tile(np.exp(poles[up, None] * time), (2, 1))
+        return np.asarray(np.einsum("mt,mn->tnm", swing, swinging).real)
+
+    products, found = np.zeros((len(swinging), len(swinging))), np.zeros(len(swinging))
+    for piece in pieces:
+        shown = basis(piece)[present[piece]]
+        products += shown.T @ shown
+    root = root_of_covariance(products)
+    for _ in range(2):  # solved again for what they leave
+        told = np.zeros(len(swinging))
+        for piece in pieces:
+            shown = basis(piece)[present[piece]]
+            told += shown.T @ ((left[piece] / size)[present[piece]] - shown @ found)
+        found = found + root @ (root.T @ told)
+    return np.concatenate([basis(piece) @ found * size for piece in pieces])

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.estimation.observation import Observation
-from aerobalance.estimation.statespace.kalman import KalmanFilter
+from aerobalance.estimation.statespace.kalman import AT_ONCE, KalmanFilter
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
 
@@ -41,22 +41,38 @@ def whitened(filter_: KalmanFilter, readings: Array, columns: Array) -> Array:
     return series
 
 
+def take_out(basis: Array, series: Array) -> None:
+    """Take orthonormal shapes (n, q) out of several series (n, c), in place and some at a time."""
+    some = max(AT_ONCE // max(series.shape[0], 1), 1)
+    for first in range(0, series.shape[1], some):
+        part = series[:, first : first + some]
+        part -= basis @ (basis.T @ part)
+
+
 def least_squares(values: Array, shapes: Array) -> tuple[Array, Array, float]:
     """Sizes (p,) of shapes (n, p) in values (n,), their covariance where values have variance 1, and the squares left.
 
     Normal equations, solved again for what they leave: that is as exact as a decomposition of the shapes themselves,
     and takes a tenth of its time. Of shapes that depend on each other only what they tell together has a size.
     """
-    scale = np.sqrt(np.einsum("np,np->p", shapes, shapes))
-    scale[scale == 0] = 1.0  # a shape that no reading shows: its size stays zero
-    information, vectors = np.linalg.eigh(shapes.T @ shapes / np.outer(scale, scale))
-    kept = information > DEPENDENT**2 * information[-1]
-    spread = vectors[:, kept] / np.sqrt(information[kept]) / scale[:, None]
-    sizes, left = np.zeros(scale.size), values
+    spread = root_of_covariance(shapes.T @ shapes)
+    sizes, left = np.zeros(shapes.shape[1]), values
     for _ in range(2):
         sizes = sizes + spread @ (spread.T @ (shapes.T @ left))
         left = values - shapes @ sizes
     return sizes, spread @ spread.T, float(left @ left)
+
+
+def root_of_covariance(products: Array) -> Array:
+    """Root (p, q) of the covariance of the sizes of shapes whose products are given, (p, p), in noise of variance 1.
+
+    Of shapes that depend on each other only what they tell together has one.
+    """
+    scale = np.sqrt(np.diag(products))
+    scale[scale == 0] = 1.0  # a shape that no reading shows: its size stays zero
+    information, vectors = np.linalg.eigh(products / np.outer(scale, scale))
+    kept = information > DEPENDENT**2 * information[-1]
+    return np.asarray(vectors[:, kept] / np.sqrt(information[kept]) / scale[:, None])
 
 
 def log_likelihood(reading: Observation, filter_: KalmanFilter, *, columns: Array) -> float:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.estimation.component_force import Fitted
 from aerobalance.estimation.error_sources import Noise, Systematic
-from aerobalance.estimation.least_squares import whitened
+from aerobalance.estimation.least_squares import take_out, whitened
 from aerobalance.estimation.record import BalanceRecord, ComponentRecord
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.steps import columns_of
@@ -32,6 +32,12 @@ MOST: Final = 256
 
 MOST_NUMBERS: Final = 4_000_000
 """Samples of columns at most, those of one component."""
+
+AT_ONCE: Final = 1 << 12
+"""Samples of all missing readings' answers that are made at once."""
+
+TOGETHER: Final = 8
+"""Combinations of them whose error is worked out at once."""
 
 UNSEEN: Final = 1e-4
 """Deviation of a combination of them, over the largest, below which it is left out."""
@@ -76,19 +82,11 @@ class MissingReadings:
         count = int(np.count_nonzero(missing))
         information, told = np.zeros((count, count)), np.zeros(count)
         for place, fit in enumerate(fits.values()):
-            reading = fit.signal.reading
-            columns = _columns(fit.record, missing)
-            if columns is None:
-                continue
-            known = columns_of(list(fit.signal.steps), reading)
-            values = record.reading(place, on_clock_of=place, filled=filled)
-            filter_ = KalmanFilter.of(reading.system(fit.signal.learned), np.ones(values.size, dtype=np.bool_))
-            white = whitened(filter_, values, np.column_stack([known, columns]))
-            free = np.linalg.qr(white[:, 1 : 1 + known.shape[1]])[0]
-            white -= free @ (free.T @ white)
-            unknown = white[:, 1 + known.shape[1] :]
-            information += unknown.T @ unknown
-            told -= unknown.T @ white[:, 0]
+            impulses = _Impulses.of(fit.record, missing)
+            if impulses is not None:
+                known, own = impulses.told_by(fit, record.reading(place, on_clock_of=place, filled=filled))
+                information += known
+                told -= own
         size = np.sqrt(np.diag(information))
         power, turned = np.linalg.eigh(information / np.outer(size, size))
         power = np.maximum(power, np.finfo(float).eps * power[-1])
@@ -101,13 +99,16 @@ class MissingReadings:
 
     def error(self, fit: Fitted) -> Systematic:
         """Error of a component's force from what is not known of them, with its fit."""
-        columns = _columns(fit.record, self.missing)
-        if columns is None:
+        impulses = _Impulses.of(fit.record, self.missing)
+        if impulses is None:
             return Systematic(MISSING, "load", (), np.zeros((len(self.missing), 0)), np.zeros((0, 0)), local=True)
-        series = np.where(fit.signal.reading.present[:, None], columns @ self.root, 0.0)
         names = tuple(f"combination {number}" for number in range(1, self.root.shape[1] + 1))
-        slopes = fit.smoothed.estimator.run(series)
-        return Systematic(MISSING, "load", names, slopes, np.eye(len(names)), local=True)
+        slopes = np.empty((len(names), impulses.samples))
+        for first in range(0, len(names), TOGETHER):
+            series = impulses.combined(self.root[:, first : first + TOGETHER])
+            series[~fit.signal.reading.present] = 0.0
+            slopes[first : first + TOGETHER] = fit.smoothed.estimator.run(series).T
+        return Systematic(MISSING, "load", names, slopes.T, np.eye(len(names)), local=True)
 
 
 def filled_error(dynamics: ModalModel, moved: Array, *, interval: float) -> Noise:
@@ -132,20 +133,62 @@ def filled_error(dynamics: ModalModel, moved: Array, *, interval: float) -> Nois
     return Noise(MISSING, "load", maximum_filter1d(np.abs(moved), width), np.ones(1))
 
 
-def _columns(record: ComponentRecord, missing: NDArray[np.bool_]) -> Array | None:
-    """Reading of a component under an impulse in the place of every missing reading, shape (samples, m).
+@dataclass(frozen=True, slots=True, eq=False)
+class _Impulses:
+    """Readings of a component under an impulse in the place of every missing reading.
 
-    They are shifted from one: the ends of a record are farther from its middle than any of its modes rings.
+    They are shifted from one of each channel: the ends of a record are farther from its middle than any of its modes
+    rings. All together they may be as large as all else of a part, so that they are made as they are wanted.
+
+    Attributes
+    ----------
+    answers
+        Reading under an impulse of a channel in the middle, with as many zeros before and after it, shape (3 samples,)
+        for every channel of which readings are missing.
+    begins
+        Which answer, and the place in it of the first sample, for every missing reading, channel by channel.
+    samples
+        Number of samples.
     """
-    count, found = len(missing), []
-    for channel in range(missing.shape[1]):
-        if not missing[:, channel].any():
-            continue
-        impulse = np.zeros(missing.shape)
-        impulse[count // 2, channel] = 1.0
-        answer = np.concatenate([np.zeros(count), record.reading_of(impulse), np.zeros(count)])
-        for place in np.flatnonzero(missing[:, channel]):
-            first = count + count // 2 - int(place)
-            found.append(answer[first : first + count])
-    columns = np.stack(found, axis=1)
-    return columns if columns.any() else None
+
+    answers: list[Array]
+    begins: list[tuple[int, int]]
+    samples: int
+
+    @classmethod
+    def of(cls, record: ComponentRecord, missing: NDArray[np.bool_]) -> _Impulses | None:
+        """Return them for missing readings, (samples, n); None where the component shows none of them."""
+        count = len(missing)
+        answers: list[Array] = []
+        begins: list[tuple[int, int]] = []
+        for channel in np.flatnonzero(missing.any(axis=0)):
+            impulse = np.zeros(missing.shape)
+            impulse[count // 2, channel] = 1.0
+            middle = count + count // 2
+            begins += [(len(answers), middle - int(place)) for place in np.flatnonzero(missing[:, channel])]
+            answers.append(np.concatenate([np.zeros(count), record.reading_of(impulse), np.zeros(count)]))
+        seen = any(answers[one][first : first + count].any() for one, first in begins)
+        return cls(answers, begins, count) if seen else None
+
+    def rows(self, begin: int, end: int) -> Array:
+        """The samples from one to another (not included) of all, shape (m, end - begin)."""
+        return np.stack([self.answers[one][first + begin : first + end] for one, first in self.begins])
+
+    def told_by(self, fit: Fitted, values: Array) -> tuple[Array, Array]:
+        """What a component's readings (samples,) tell of their sizes: information (m, m) and products (m,) [1]."""
+        reading = fit.signal.reading
+        known = columns_of(list(fit.signal.steps), reading)
+        filter_ = KalmanFilter.of(reading.system(fit.signal.learned), np.ones(values.size, dtype=np.bool_))
+        white, unknown = whitened(filter_, values, known), filter_.whiten(self.rows(0, values.size).T)
+        free = np.linalg.qr(white[:, 1:])[0]
+        take_out(free, white[:, :1])
+        take_out(free, unknown)
+        return unknown.T @ unknown, unknown.T @ white[:, 0]
+
+    def combined(self, sizes: Array) -> Array:
+        """Sums of them of some sizes (m, c), shape (samples, c)."""
+        out = np.empty((sizes.shape[1], self.samples))
+        for begin in range(0, self.samples, AT_ONCE):
+            end = min(begin + AT_ONCE, self.samples)
+            np.matmul(sizes.T, self.rows(begin, end), out=out[:, begin:end])
+        return out.T

@@ -16,6 +16,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.dynamics.modal import Mode
+from aerobalance.estimation.least_squares import take_out
 from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.steps import Step, response_to
@@ -27,9 +28,6 @@ MARGIN: Final = 28
 MOST_SAMPLES: Final = 512
 """Largest number of samples in which the force may be changing for which unit impulses are whitened; beyond it each
 response is whitened by itself."""
-
-TOGETHER: Final = 64
-"""Columns that are whitened together: the filter needs several times their memory."""
 
 POINTS: Final = 16
 """Number of samples at which the shapes are fitted to a response, over the number of shapes."""
@@ -177,11 +175,8 @@ class StepWindow:
 
     def _left_of(self, columns: Array) -> Array:
         """Residuals of columns, whitened and without the known shapes, shape (n, c)."""
-        white = np.empty_like(columns)
-        for first in range(0, columns.shape[1], TOGETHER):
-            part = slice(first, first + TOGETHER)
-            white[:, part] = self.filter.whiten(columns[:, part])
-            white[:, part] -= self.basis @ (self.basis.T @ white[:, part])
+        white = self.filter.whiten(columns)
+        take_out(self.basis, white)
         return white
 
     def _prepare(self, first: int, edge: int) -> None:

@@ -31,7 +31,8 @@ from aerobalance.estimation.statespace.stretches import Planner, Stretch
 from aerobalance.recording.channel import Array
 
 SURE: Final = 1e-6
-"""Change of what is found of a state, over its standard deviation, that makes no difference."""
+"""Change of what is found of a state, over its standard deviation, that makes no difference; in a series that shows
+less than that deviation, over what it shows."""
 
 CLEAR: Final = 1e4
 """How much more than their noise readings may show of a state before rounding makes it less than exact."""
@@ -41,6 +42,9 @@ PASSES: Final = 4
 
 NOTHING: Final = 1e-9
 """Standard deviation of a part of the initial state in whitened readings, below which it shows nothing [1]."""
+
+AT_ONCE: Final = 1 << 17
+"""Samples of all series together that are whitened at once, or one series."""
 
 LOAD, LOAD_RATE, FORCE = 0, 1, 2
 """Places in the state: the balance load AF, its rate AF'/w0, and the force F, the first state of its shaping filter.
@@ -288,10 +292,17 @@ class KalmanFilter:
         """Return several series (n, c) such that observations become white with variance 1, shape (n, c) [1].
 
         These are innovations over their standard deviation, at the start and after gaps in an order of their own; 0
-        where an observation is missing.
+        where an observation is missing. Some series at a time: the filter takes several times their memory.
         """
-        forms = self.forms
         out = np.zeros(series.shape[::-1])
+        some = max(AT_ONCE // max(series.shape[0], 1), 1)
+        for first in range(0, series.shape[1], some):
+            self._whiten(series[:, first : first + some], out[first : first + some])
+        return out.T
+
+    def _whiten(self, series: Array, out: Array) -> None:
+        """Write several series (n, c) such that observations become white with variance 1, shape (c, n) [1]."""
+        forms = self.forms
         for run in self._forward(series):
             one, innovations = run.stretch, run.innovations
             if one.memory:
@@ -301,7 +312,6 @@ class KalmanFilter:
                 innovations[:, : one.memory] -= forms.released((run.numbers * (half - 1)) @ one.start.T, one.memory)[1]
             out[:, one.first : one.stop] = innovations
         out /= np.sqrt(forms.steady.variance)
-        return out.T
 
     @property
     def shown(self) -> int:
@@ -393,10 +403,13 @@ class KalmanFilter:
         forms, one = self.forms, run.stretch
         early, edge = run.innovations[:, : one.memory], one.memory // BLOCK
         power, changed = 1 + one.seen**2, False
+        # a known shape is to be as exact as it is large, as nobody knows here how large it is in the readings
+        shows = np.linalg.norm(early, axis=1) / np.sqrt(forms.steady.variance)
+        least = SURE * np.minimum(shows, 1.0)[:, None]
         for _ in range(PASSES if np.max(one.seen) > CLEAR else 1):
             before = forms.adjoint(early, after)[:, 0] if start is None else start
             change = (before @ one.start - run.numbers) / power
-            if not np.max(np.abs(change) * np.sqrt(power)) > SURE:
+            if not (np.abs(change) * np.sqrt(power) > least).any():
                 break
             run.numbers[:] += change
             states, shown = forms.released(change @ one.start.T, one.memory)
