@@ -115,10 +115,15 @@ def test_many_missing_readings_of_a_long_record_take_little_memory(rng) -> None:
         _, missing = MissingReadings.of(record, fits, filled=filled)
         found = tracemalloc.get_traced_memory()[1] - before
         tracemalloc.reset_peak()
-        error = missing.error(fits["SF"])
+        few = missing.error(fits["SF"], few=True)
         told = tracemalloc.get_traced_memory()[1] - before
     finally:
         tracemalloc.stop()
+    every = missing.error(fits["SF"])
     # of some series states, innovations and what they are made of, and readings of all components, are far fewer
     assert found < 2 * numbers + 8 * some
-    assert told < error.slopes.nbytes + 12 * some
+    assert told < 12 * some
+    assert few.slopes.shape[1] < every.slopes.shape[1] // 2
+    # at each of the ten times that eight more are looked at, what is left out is less than 1e-3 of all; squares add
+    atol = np.sqrt(10) * 1e-3 * np.linalg.norm(every.deviation)
+    np.testing.assert_allclose(few.deviation, every.deviation, rtol=0, atol=atol)

@@ -6,7 +6,7 @@ reading of the decoupled channel, and less the noise that the others show, where
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -112,18 +112,20 @@ class DecoupledRecord(ComponentRecord):
         for other in self.others:
             # what is wrong in the row of another is taken for noise that it shows
             theirs, of_theirs = self._effects(other, of_mass=of_mass), self._numbers(other, uncertain)
-            kept = _directions(theirs, of_theirs, least=least / len(self.others))
+            kept = _directions([theirs], of_theirs, least=least / len(self.others))
             parts.append(-self._taken_off(theirs @ (of_theirs @ kept), other))
             numbers = np.vstack([numbers, kept.T])
             del theirs  # of a long record as large as all that is kept of them
-        series = np.vstack([part.T for part in parts]).T
-        del own, parts
-        kept = _directions(series, numbers, least=least)
+        kept = _directions(parts, numbers, least=least)
         names = [f"direction {number} of inertia, damping and mass" for number in range(1, kept.shape[1] + 1)]
         sums, slopes = numbers @ kept, np.empty((len(names), len(self.loads)))
+        ends = np.cumsum([part.shape[1] for part in parts])
         for first in range(0, len(names), AT_ONCE):
-            few_of_them = slice(first, first + AT_ONCE)
-            slopes[few_of_them] = through(series @ sums[:, few_of_them]).T
+            few_of_them = sums[:, first : first + AT_ONCE]
+            series = np.zeros((len(self.loads), few_of_them.shape[1]))
+            for part, end in zip(parts, ends, strict=True):
+                series += part @ few_of_them[end - part.shape[1] : end]
+            slopes[first : first + AT_ONCE] = through(series).T
         return Systematic(name, "dynamics", tuple(names), slopes.T, np.eye(len(names)), kept.T.copy())
 
     @property
@@ -247,19 +249,20 @@ class _Uncertain:
         return block_diag(self.of_matrices[rows], self.of_mass)
 
 
-def _directions(series: Array, numbers: Array, *, least: float) -> Array:
+def _directions(series: Sequence[Array], numbers: Array, *, least: float) -> Array:
     """Combinations (r, k) of independent numbers of variance 1 whose effects are independent and show.
 
     Parameters
     ----------
     series
-        What changes a reading, shape (n, p).
+        What changes a reading, some of them each, shape (n, any), p in all.
     numbers
         By how much, for a unit of each of independent numbers, shape (p, r).
     least
         Rms that is nothing, beside `UNSEEN` of that of all together.
     """
-    level, vectors = np.linalg.eigh(series.T @ series / series.shape[0])
+    products = np.block([[one.T @ other for other in series] for one in series])
+    level, vectors = np.linalg.eigh(products / len(series[0]))
     root = vectors * np.sqrt(np.maximum(level, 0.0))
     _, size, turned = np.linalg.svd(root.T @ numbers, full_matrices=False)
     power = size**2

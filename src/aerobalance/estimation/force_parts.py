@@ -70,7 +70,7 @@ class Division:
     """
 
     readings: int = 6 * 57344
-    decimated: tuple[float, float] = (6 / 7, 7.75)
+    decimated: tuple[float, float] = (11 / 14, 7.1)
     round_to: int = 1 << 12
     decay_times: float = 4.0
     margin: tuple[int, float] = (1 << 12, 1 / 8)

@@ -152,7 +152,7 @@ def forces_of(
         if errors:
             found = replace(with_errors(found, *errors), steps=steps)
         if missing is not None:
-            found = with_errors(found, missing.error(fit))
+            found = with_errors(found, missing.error(fit, few=few))
         if name in moved:
             found = with_errors(found, filled_error(fit.record.dynamics, moved[name], interval=record.interval))
         return with_few(found) if few else found

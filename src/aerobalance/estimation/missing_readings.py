@@ -97,18 +97,25 @@ class MissingReadings:
         kept = shown[2][shown[1] > UNSEEN * shown[1][0]]
         return filled + lacking.T, cls(missing, spread @ kept.T)
 
-    def error(self, fit: Fitted) -> Systematic:
-        """Error of a component's force from what is not known of them, with its fit."""
+    def error(self, fit: Fitted, *, few: bool = False) -> Systematic:
+        """Error of a component's force from what is not known of them, with its fit; if `few`, by what shows of it."""
         impulses = _Impulses.of(fit.record, self.missing)
         if impulses is None:
-            return Systematic(MISSING, "load", (), np.zeros((len(self.missing), 0)), np.zeros((0, 0)), local=True)
-        names = tuple(f"combination {number}" for number in range(1, self.root.shape[1] + 1))
-        slopes = np.empty((len(names), impulses.samples))
-        for first in range(0, len(names), TOGETHER):
+            return _independent(np.zeros((len(self.missing), 0)))
+        estimator, pieces = fit.smoothed.estimator, []
+        for first in range(0, self.root.shape[1], TOGETHER):
             series = impulses.combined(self.root[:, first : first + TOGETHER])
             series[~fit.signal.reading.present] = 0.0
-            slopes[first : first + TOGETHER] = fit.smoothed.estimator.run(series).T
-        return Systematic(MISSING, "load", names, slopes.T, np.eye(len(names)), local=True)
+            pieces.append(estimator.run(series))
+            if few:  # of fifty, four show in a force
+                pieces = [_independent(np.hstack(pieces)).few.slopes]
+        return _independent(np.hstack(pieces))
+
+
+def _independent(slopes: Array) -> Systematic:
+    """The error by what independent numbers of variance 1 do to a force, shape (n, r) [N]."""
+    names = tuple(f"combination {number}" for number in range(1, slopes.shape[1] + 1))
+    return Systematic(MISSING, "load", names, slopes, np.eye(len(names)), local=True)
 
 
 def filled_error(dynamics: ModalModel, moved: Array, *, interval: float) -> Noise:
