@@ -11,8 +11,9 @@ from scipy.signal import butter, sosfilt
 
 from aerobalance.estimation.checks.unmeasured_rotation import turning_by_angles
 from aerobalance.estimation.force import estimate_force
+from aerobalance.motion.platform import UNRECORDED, PlatformMotion
 from aerobalance.recording.channel import Channel
-from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.simulation import SixComponentRig
 from aerobalance.simulation.six_balance import random_balance
@@ -171,3 +172,22 @@ def test_the_weight_that_unrecorded_angles_turn_is_in_the_uncertainty(turning, r
         size = balance.mass.mass * 9.80665 * np.std(angle)
         assert np.std(error) == pytest.approx(size, rel=0.02)  # sin of up to 0.05 rad, and the line of its own
         assert np.sqrt(np.mean(found[name].uncertainty ** 2)) == pytest.approx(np.std(error), rel=0.1)
+
+
+@pytest.mark.parametrize(("duration", "lowest"), [(20.0, 2.0), (60.0, 4.0)])
+@pytest.mark.soak(first=1)
+def test_swings_that_turn_the_weight_are_told_however_long_the_record_is(duration, lowest, rng):
+    """Twice integrated, the noise of a turn sensor grows with the record's length to the power 1.5, and hides them."""
+    balance, rms = random_balance(rng), np.zeros(6)
+    rms[COMPONENTS.index("PM")] = 1.0
+    base = random_motion(rng, Band(lowest, 8.0), rms=rms, period=2 * duration)
+    run = SixComponentRig(balance, base=base, output="loads", rate=RATE).run(duration, rng)
+    kept = {name: one for name, one in run.recording.channels.items() if name not in ("pitch", "roll")}
+    motion = PlatformMotion.of(replace(run.recording, channels=kept))
+    (found,) = [one for one in motion.unknowns if one.name == f"{UNRECORDED}pitch"]
+    weight = STANDARD_GRAVITY * np.sin(run.pitch)
+    slope = found.slope[:, COMPONENTS.index("AF")]
+    # the rms of the noise is expected to be half of it at most; few slow swings make it, and may be twice as large
+    own = min(np.std(slope - sign * (weight - weight.mean())) for sign in (1, -1))
+    assert own < 2 * 0.5 * np.std(slope)
+    assert np.std(slope) == pytest.approx(np.std(weight), rel=0.5)

@@ -15,7 +15,7 @@ import numpy as np
 from aerobalance.motion.least_squares import GroundFit, integral
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import DIRECTIONS, MOMENT_ROWS, MOMENTS
-from aerobalance.recording.fourier import hann
+from aerobalance.recording.fourier import convolve, hann
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +34,11 @@ class TurningSettings:
         Rms of the integral of white noise less its line, over noise sqrt(n) / rate: 1 / sqrt(15).
     walk_of_angle
         The same of the second integral, over noise n^1.5 / rate^2, where either is less its line.
+    walk_of_swings, walk_of_swung_angle
+        The same of both integrals less their mean under a Hann window of n samples,
+        sqrt(2 integral (1 - W)^2 (2 pi x)^-2k dx), k = 1 and 2, W = sinc(x) / (1 - x^2).
+    shortest
+        Samples of the shortest such window.
     mostly_noise
         Share of the integral's rms from which such a walk makes it worthless.
     """
@@ -43,6 +48,9 @@ class TurningSettings:
     integrated: float = 0.1
     walk: float = 0.26
     walk_of_angle: float = 0.03
+    walk_of_swings: float = 0.213
+    walk_of_swung_angle: float = 0.0263
+    shortest: int = 16
     mostly_noise: float = 0.5
 
 
@@ -118,7 +126,11 @@ class Turning:
 
 
 def turned_by(fit: GroundFit, rate: Array) -> Array:
-    """Angles that a rate of turn (n, 3) adds up to, less their lines, shape (n, 3) [rad]; 0 where these are noise."""
+    """Angles that a rate of turn (n, 3) adds up to, shape (n, 3) [rad]; 0 where these are noise.
+
+    They are less their lines. Along a record the sum of noise comes to be larger than they are: then they are less
+    their mean over as long a time as leaves more of them than of it, and faster swings are what is left.
+    """
     count, recorded = len(rate), _recorded(fit)
     angles = np.zeros_like(rate)
     for place, turn in enumerate(MOMENT_ROWS):
@@ -127,13 +139,28 @@ def turned_by(fit: GroundFit, rate: Array) -> Array:
         angle = _integrated(rate[:, place], fit.rate)
         if place in recorded:
             noise = min(s.noise for s in fit.sensors if s.kind == "rate" and np.argmax(np.abs(s.row)) == turn)
-            walk = SETTINGS.walk * noise * np.sqrt(count) / fit.rate
+            whole, swung, power, by = SETTINGS.walk, SETTINGS.walk_of_swings, 0.5, noise / fit.rate
         else:
             noise = float(np.sqrt(max(fit.covariance[turn, turn], 0.0)))
-            walk = SETTINGS.walk_of_angle * noise * count**1.5 / fit.rate**2
-        if walk <= SETTINGS.mostly_noise * float(_rms(angle)):
-            angles[:, place] = angle
+            whole, swung, power = SETTINGS.walk_of_angle, SETTINGS.walk_of_swung_angle, 1.5
+            by = noise / fit.rate**2
+        window, found, walk = count, angle, whole * by * count**power
+        while walk > SETTINGS.mostly_noise * float(_rms(found)) and window >= 2 * SETTINGS.shortest:
+            window //= 2
+            found, walk = _swings(angle, window), swung * by * window**power
+        if walk <= SETTINGS.mostly_noise * float(_rms(found)):
+            angles[:, place] = found
     return angles
+
+
+def _swings(values: Array, window: int) -> Array:
+    """A series less its mean under a Hann window of so many samples, shape (n,); beyond its ends it goes on odd."""
+    half = window // 2
+    before = 2 * values[0] - values[half:0:-1]
+    after = 2 * values[-1] - values[-2 : -2 - half : -1]
+    weights = hann(2 * half + 2)[1:]
+    slow = convolve(np.concatenate([before, values, after])[:, None], (weights / weights.sum())[:, None])[:, 0]
+    return np.asarray(values - slow[2 * half : 2 * half + values.size])
 
 
 def _recorded(fit: GroundFit) -> set[int]:
