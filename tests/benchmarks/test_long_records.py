@@ -61,7 +61,8 @@ def spent(words: list[str]) -> Spent:
     clock, after = time.perf_counter() - begin, resource.getrusage(resource.RUSAGE_CHILDREN)
     assert run.returncode == 0, run.stderr
     processor = after.ru_utime - before.ru_utime + after.ru_stime - before.ru_stime
-    return Spent(float(run.stderr.splitlines()[-1].split()[1]) / 1024, processor, clock)
+    kilobytes = float(run.stderr.splitlines()[-1].split()[1])  # of 1024 bytes
+    return Spent(kilobytes * 1024 / 1e6, processor, clock)
 
 
 @pytest.mark.alone
