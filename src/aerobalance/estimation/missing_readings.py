@@ -99,10 +99,10 @@ class MissingReadings:
 
     def error(self, fit: Fitted, *, few: bool = False) -> Systematic:
         """Error of a component's force from what is not known of them, with its fit; if `few`, by what shows of it."""
-        impulses = _Impulses.of(fit.record, self.missing)
+        impulses, pieces = _Impulses.of(fit.record, self.missing), [np.zeros((len(self.missing), 0))]
         if impulses is None:
-            return _independent(np.zeros((len(self.missing), 0)))
-        estimator, pieces = fit.smoothed.estimator, []
+            return _independent(pieces[0])
+        estimator = fit.smoothed.estimator
         for first in range(0, self.root.shape[1], TOGETHER):
             series = impulses.combined(self.root[:, first : first + TOGETHER])
             series[~fit.signal.reading.present] = 0.0
