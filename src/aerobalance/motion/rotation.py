@@ -41,6 +41,9 @@ class TurningSettings:
         Samples of the shortest such window.
     mostly_noise
         Share of the integral's rms from which such a walk makes it worthless.
+    little_noise
+        The same of an angle that counts as one: along a whole record few slow swings make the walk, which is twice as
+        large by chance in one of 50, three times in one of 2500 and four times in fewer than one of 20 000.
     """
 
     rounds: int = 5
@@ -52,6 +55,7 @@ class TurningSettings:
     walk_of_swung_angle: float = 0.0263
     shortest: int = 16
     mostly_noise: float = 0.5
+    little_noise: float = 0.25
 
 
 SETTINGS: Final = TurningSettings()
@@ -129,7 +133,7 @@ def turned_by(fit: GroundFit, rate: Array) -> Array:
     """Angles that a rate of turn (n, 3) adds up to, shape (n, 3) [rad]; 0 where these are noise.
 
     They are less their lines. Along a record the sum of noise comes to be larger than they are: then they are less
-    their mean over as long a time as leaves more of them than of it, and faster swings are what is left.
+    their mean over as long a time as leaves little of it, and faster swings are what is left.
     """
     count, recorded = len(rate), _recorded(fit)
     angles = np.zeros_like(rate)
@@ -145,10 +149,10 @@ def turned_by(fit: GroundFit, rate: Array) -> Array:
             whole, swung, power = SETTINGS.walk_of_angle, SETTINGS.walk_of_swung_angle, 1.5
             by = noise / fit.rate**2
         window, found, walk = count, angle, whole * by * count**power
-        while walk > SETTINGS.mostly_noise * float(_rms(found)) and window >= 2 * SETTINGS.shortest:
+        while walk > SETTINGS.little_noise * float(_rms(found)) and window >= 2 * SETTINGS.shortest:
             window //= 2
             found, walk = _swings(angle, window), swung * by * window**power
-        if walk <= SETTINGS.mostly_noise * float(_rms(found)):
+        if walk <= SETTINGS.little_noise * float(_rms(found)):
             angles[:, place] = found
     return angles
 
