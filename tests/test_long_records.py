@@ -437,6 +437,7 @@ def test_the_mean_of_a_divided_force_is_as_uncertain_as_that_of_the_whole(rng):
     assert parts.errors.common[0, 0] == pytest.approx(whole.errors.common[0, 0], rel=1e-3)
 
 
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")  # one of many leaves noise open
 @pytest.mark.soak(first=0)
 def test_numbers_of_a_force_with_a_silent_part_are_those_of_the_rest(rng):
     record = run(rng, count=40_000)
