@@ -339,6 +339,19 @@ def test_a_part_is_large_enough_for_one_component():
     assert parts[0].end == 184_320  # (360 000 + 2 * 4096) / 2, and the next number without large factors
 
 
+@pytest.mark.parametrize(
+    ("ending", "why"),
+    [("h5", "only where its time is that of a steady clock"), ("csv", "`aerobalance convert` it to")],
+)
+def test_a_large_file_that_is_read_whole_says_what_can_be_done(tmp_path, monkeypatch, ending, why):
+    file = tmp_path / f"run.{ending}"
+    with writing(file, samples=100) as append:
+        append({"time [s]": np.arange(100) / RATE, "AF [N]": np.arange(100.0)})
+    monkeypatch.setattr("aerobalance.io.long_record.LARGE", 0)
+    with pytest.warns(DataQualityWarning, match=why), open_record(file) as record:
+        assert record.samples == 100
+
+
 # --- writing, progress, Ctrl-C
 
 
