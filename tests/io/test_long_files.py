@@ -14,6 +14,7 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
+from nptdms import ChannelObject, TdmsWriter
 
 from aerobalance.app.cli import main
 from aerobalance.app.commands.recordings import info
@@ -29,6 +30,7 @@ from aerobalance.io.results_file import writing
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError, ReadError
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.side_by_side import side_by_side
 from helpers.cable_cut import T128
 
 RATE = 1600.0
@@ -131,6 +133,47 @@ def long_rows(seed: int, *, separator: str = ",", count: int = 70_000) -> list[s
     """Rows of a text: the sample, the time in ms, two channels."""
     values = np.random.default_rng(seed).normal(size=(count, 2))
     return [separator.join([str(i), f"{i / 2:g}", f"{x:.5f}", f"{y:.3e}"]) for i, (x, y) in enumerate(values.tolist())]
+
+
+def in_tdms(path: Path, table: np.ndarray, rate: float) -> None:
+    with TdmsWriter(path) as file:
+        for rows in np.array_split(table, 30):
+            file.write_segment(
+                [
+                    ChannelObject("run", name, values, {"unit_string": "N", "wf_increment": 1 / rate})
+                    for name, values in zip(("AF", "NF", "SF"), rows.T, strict=True)
+                ]
+            )
+
+
+def in_text(path: Path, table: np.ndarray, rate: float) -> None:
+    stamps = np.arange(len(table)) / rate
+    np.savetxt(
+        path, np.column_stack([stamps, table]), "%.9g", ",", header="time [s],AF [N],NF [N],SF [N]", comments=""
+    )
+
+
+def in_own_hdf5(path: Path, table: np.ndarray, rate: float) -> None:
+    channels = {name: Channel(name, values, "N") for name, values in zip(("AF", "NF", "SF"), table.T, strict=True)}
+    write_recording(path, Recording.from_columns(np.arange(len(table)) / rate, channels))
+
+
+@pytest.mark.parametrize("ending, write", [("tdms", in_tdms), ("csv", in_text), ("h5", in_own_hdf5)])
+def test_parts_that_two_threads_read_are_those_that_one_reads(tmp_path, seed, short_texts_are_long, ending, write):
+    path, ends = tmp_path / f"run.{ending}", list(pairwise(range(0, 300_001, 1000)))
+    write(path, np.random.default_rng(seed).normal(size=(300_000, 3)), 25_000.0)
+    before = sys.getswitchinterval()
+    with open_record(path) as record:
+        assert not isinstance(record, Recording)
+        alone = [record.part(*one) for one in ends]
+    with open_record(path) as record:
+        sys.setswitchinterval(1e-6)  # as on a machine on which all happens in the end
+        try:
+            found = side_by_side(lambda one: record.part(*one), 4 * ends)
+        finally:
+            sys.setswitchinterval(before)
+        for one, other in zip(found, 4 * alone, strict=True):
+            same(one, other)
 
 
 @pytest.mark.parametrize("end", ["\n", "\r\n"])

@@ -61,9 +61,10 @@ class Filling:
             into[:] = given
 
     def _begin(self) -> None:
-        self._runs = _runs(self._data)
-        self._begins = [run.begin for run in self._runs]
-        self._handle = int(self._data.file.id.get_vfd_handle()) if self._runs else -1
+        runs = _runs(self._data)
+        self._begins = [run.begin for run in runs]
+        self._handle = int(self._data.file.id.get_vfd_handle()) if runs else -1
+        self._runs = runs  # last, as another thread may read meanwhile
 
     def _direct(self, begin: int, into: memoryview) -> bool:
         """Read from the file; whether all is there."""

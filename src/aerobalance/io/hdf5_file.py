@@ -230,8 +230,9 @@ class Blocks:
         if samples.shape[1] < self._found.slot or 2 * len(columns) < len(self._found.channels):
             return False  # where each piece stands takes some time to find out
         if not self._located:
-            self._places, self._located = places_of_pieces(self._data, len(self._found.blocks)), True
+            self._places = places_of_pieces(self._data, len(self._found.blocks))
             self._handle = int(self._data.file.id.get_vfd_handle()) if self._places is not None else -1
+            self._located = True  # last, as another thread may read meanwhile
         if self._places is None:
             return False
         size = samples.itemsize * self._found.slot

@@ -6,6 +6,7 @@ import contextlib
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 
@@ -50,6 +51,8 @@ class SeriesRecord:
     channel_map: ChannelMap | None
     epoch: np.datetime64 | None
     _means: LateMeans = field(init=False, repr=False)
+    # readers go to a place in their one open file and read there, or keep what was read last: one thread at a time
+    _reading: Lock = field(init=False, repr=False, default_factory=Lock)
 
     def __post_init__(self) -> None:
         names = [series.name for _, series in self.chosen] if self.channel_map is None else self.channel_map.channels
@@ -102,7 +105,8 @@ class SeriesRecord:
         )
 
     def _channels(self, begin: int, end: int) -> dict[str, Channel]:
-        values = read_part(self.path, [series for _, series in self.chosen], begin, end)
+        with self._reading:
+            values = read_part(self.path, [series for _, series in self.chosen], begin, end)
         columns = tuple(
             replace(bare_column(number, series), values=one)
             for (number, series), one in zip(self.chosen, values, strict=True)
@@ -115,7 +119,8 @@ class SeriesRecord:
     def _stamps(self, begin: int, end: int) -> Array:
         if self.axis is None:
             return self.start + np.arange(begin, end) / self.rate
-        return seconds(self.path, self.axis, begin, end)
+        with self._reading:
+            return seconds(self.path, self.axis, begin, end)
 
     def _mean(self, name: str) -> float:
         """Mean of a channel over the whole record."""
