@@ -168,6 +168,8 @@ def test_the_weight_that_unrecorded_angles_turn_is_in_the_uncertainty(turning, r
     found = forces(bare, replace(balance.dynamics, mass=balance.mass))
     for name, angle, what in (("AF", run.pitch, "pitch"), ("SF", run.roll, "roll")):
         assert f"weight that turns with unrecorded {what}" in found[name].budget
+        (said,) = [text for text in found[name].assumptions if "turns along PM and RM" in text]
+        assert "counts in the uncertainty" in said
         error = found[name].values - run.applied[:, COMPONENTS.index(name)]
         size = balance.mass.mass * 9.80665 * np.std(angle)
         assert np.std(error) == pytest.approx(size, rel=0.02)  # sin of up to 0.05 rad, and the line of its own
@@ -185,6 +187,7 @@ def test_swings_that_turn_the_weight_are_told_however_long_the_record_is(duratio
     kept = {name: one for name, one in run.recording.channels.items() if name not in ("pitch", "roll")}
     motion = PlatformMotion.of(replace(run.recording, channels=kept))
     (found,) = [one for one in motion.unknowns if one.name == f"{UNRECORDED}pitch"]
+    assert any("turns along PM change of the weight" in text for text in motion.assumptions)
     weight = STANDARD_GRAVITY * np.sin(run.pitch)
     slope = found.slope[:, COMPONENTS.index("AF")]
     # the rms of the noise is expected to be a quarter of it at most; few slow swings make it: twice that in one of 50

@@ -42,6 +42,9 @@ GAINS: Final = ("accelerometer gain", "turn sensor gain")
 UNRECORDED: Final = "weight that turns with unrecorded "
 """Name of what turns change of the weight where no angle is recorded, before the angle."""
 
+TURNS: Final = "turns along "
+"""Name of its source, before the component."""
+
 TURNING: Final = "w x (w x r) by integrated turns"
 """Name of what is not known of the rate of turn."""
 
@@ -254,7 +257,7 @@ class MotionRecord:
             specific_force=found.motion - self.pull.acceleration if self.pull.angles else found.motion,
             turn_rate=found.rate,
             delay=self.delay,
-            assumptions=(*said, *self._told(found)),
+            assumptions=(*said, *self._told(found, effects)),
             unknowns=tuple(self._unknowns(fit, effects, known)),
             gravity_on_zero=self.recording.gravity_on_zero.acceleration,
             delays=(*(sensor.channel.delay for sensor in fit.sensors), *self.pull.delays),
@@ -310,7 +313,7 @@ class MotionRecord:
         enough = min(FEWEST, len(motion) // 2)
         return np.where(bridged, np.nan, motion), np.count_nonzero(~bridged, axis=0) >= enough
 
-    def _told(self, found: Turning) -> Iterator[str]:
+    def _told(self, found: Turning, effects: Sequence[Effect]) -> Iterator[str]:
         """What is taken as zero or approximately because of what is not recorded."""
         reads_gravity = False
         if self.along is None:
@@ -322,6 +325,10 @@ class MotionRecord:
             reads_gravity = self.first.sensors[0].reads_gravity
         if not reads_gravity:
             yield from self.pull.assumptions
+        turns = [effect.source.removeprefix(TURNS) for effect in effects if effect.name.startswith(UNRECORDED)]
+        if turns:
+            along = " and ".join(turns)
+            yield f"what {TURNS}{along} change of the weight is not taken off; it counts in the uncertainty"
 
     def _covariance(self, fit: GroundFit, variance: Array) -> Array:
         """Noise of one sample: of the sensors, of what is taken as known, and of the angles."""
@@ -394,7 +401,7 @@ class MotionRecord:
             angle = angles[:, MOMENTS.index(turn)]
             if angle.any():
                 by = angle[:, None] * slopes[name]
-                yield Effect(f"{UNRECORDED}{name}", f"turns along {turn}", 1.0, self._felt_by(by), -by)
+                yield Effect(f"{UNRECORDED}{name}", f"{TURNS}{turn}", 1.0, self._felt_by(by), -by)
 
     def _felt_by(self, pull: Array) -> dict[int, Array]:
         felt = felt_of(self.first, pull)
