@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 
@@ -23,6 +22,7 @@ from aerobalance.recording.recording import Recording
 from faults.cases import all_cases
 from faults.trials import recording_of
 from helpers.accuracy import RIG, SOFT, T128, rms_of, smooth_run
+from helpers.yardstick import spent
 
 RATE, SECONDS = 1600.0, 3.5
 
@@ -51,20 +51,8 @@ def smooth(rng: np.random.Generator, *, seconds: float = SECONDS, noise: float =
     return smooth_run(rng, shape, dynamics=T128, rate=RATE, rms=300.0, noise=noise, seconds=seconds)[0]
 
 
-def spent(work: Callable[[], object]) -> float:
-    """Processor time, the lesser of two runs [s]."""
-    found = []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DataQualityWarning)
-        for _ in range(2):
-            begin = time.process_time()
-            work()
-            found.append(time.process_time() - begin)
-    return min(found)
-
-
 def of_force(run: Recording, dynamics: Dynamics = T128) -> float:
-    return spent(lambda: estimate_force(run, dynamics))
+    return spent(lambda: estimate_force(run, dynamics), runs=2)
 
 
 @cache
@@ -202,7 +190,7 @@ def test_looking_at_a_record_that_is_no_release(record, rng) -> None:
             begin = time.process_time()
             force.append(estimate_force(run, dynamics))
             whole = time.process_time() - begin
-        ratio = spent(lambda force=force: checked(force[0])) / whole
+        ratio = spent(lambda force=force: checked(force[0]), runs=2) / whole
         record(f"1 over time of holding it against its model over that of the force, {name}", 1 / ratio, 1.0)
         assert ratio < 3
 

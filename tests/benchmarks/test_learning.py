@@ -5,9 +5,6 @@ The yardstick is `scipy.fft.rfft` and `irfft` of the same readings, warm, in pro
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from scipy.fft import irfft, rfft, rfftfreq
@@ -17,6 +14,7 @@ from aerobalance.estimation.prior import fit_prior
 from aerobalance.estimation.spectra.line_noise import hum_lines
 from aerobalance.recording.channel import Array
 from helpers.accuracy import RIG
+from helpers.yardstick import spent
 
 RATE = 25_000.0
 LENGTHS = (100_000, 1_000_000, 10_000_000)
@@ -33,26 +31,17 @@ def smooth(rng: np.random.Generator, count: int) -> Array:
     return felt + rng.normal(0, 0.5, count)
 
 
-def spent(work: Callable[[], object], *, times: int = 3) -> float:
-    """Least processor time of some runs, the first one left out [s]."""
-    work()
-    found = []
-    for _ in range(times):
-        begin = time.process_time()
-        work()
-        found.append(time.process_time() - begin)
-    return min(found)
-
-
 @pytest.mark.alone
 def test_learning_beside_the_transform(record, rng) -> None:
     learning, hum, transform = [], [], []
     for count in LENGTHS:
         values = smooth(rng, count)
         reading, constant = Observation(values, 1 / RATE, RIG), np.ones((count, 1))
-        learning.append(spent(lambda reading=reading, constant=constant: fit_prior(reading, columns=constant)))
-        hum.append(spent(lambda values=values: hum_lines(values, 1 / RATE)))
-        transform.append(spent(lambda values=values: irfft(rfft(values), values.size)))
+        learning.append(
+            spent(lambda reading=reading, constant=constant: fit_prior(reading, columns=constant), runs=3, first=False)
+        )
+        hum.append(spent(lambda values=values: hum_lines(values, 1 / RATE), runs=3, first=False))
+        transform.append(spent(lambda values=values: irfft(rfft(values), values.size), runs=3, first=False))
         record(f"R of learning from {count:.0e} samples, 60 over it", 60 * transform[-1] / learning[-1], 1.0)
     # what does not grow with the length is a few hundred averages' work: some 30 ms, 20 transforms of 1e5 samples
     assert learning[0] < 60 * transform[0]
@@ -69,7 +58,11 @@ def test_learning_beside_the_transform(record, rng) -> None:
 def test_learning_with_a_given_noise_costs_no_more(count: int, record, rng) -> None:
     values, constant = smooth(rng, count), np.ones((count, 1))
     free, given = (
-        spent(lambda noise=noise: fit_prior(Observation(values, 1 / RATE, RIG, noise=noise), columns=constant))
+        spent(
+            lambda noise=noise: fit_prior(Observation(values, 1 / RATE, RIG, noise=noise), columns=constant),
+            runs=3,
+            first=False,
+        )
         for noise in (None, 0.5)
     )
     record(f"learning from {count:.0e} samples, time with the noise free over that with it given", free / given, 0.5)

@@ -6,9 +6,6 @@ import os
 import resource
 import subprocess
 import sys
-import time
-import warnings
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -21,12 +18,11 @@ from aerobalance.estimation.force_parts import DIVISION
 from aerobalance.io import write_recording
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.channel import Array, Channel
-from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.side_by_side import one_after_the_other
 from aerobalance.simulation import CableCut
 from helpers.accuracy import RIG, WIDE, density
-from helpers.yardstick import Yardstick
+from helpers.yardstick import Yardstick, spent
 
 RATE = 25_000.0
 EVERY = 4
@@ -49,15 +45,6 @@ def load_of(rng: np.random.Generator, count: int) -> Array:
 def force_of(values: Array) -> Force:
     channel = Channel(RIG.component, values, "N")
     return estimate_force(Recording.from_columns(np.arange(values.size) / RATE, {RIG.component: channel}), RIG)
-
-
-def spent(work: Callable[[], object]) -> float:
-    """Processor time [s]."""
-    begin = time.process_time()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DataQualityWarning)
-        work()
-    return time.process_time() - begin
 
 
 @pytest.mark.alone

@@ -2,24 +2,13 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-
 import pytest
 from scipy.fft import irfft, rfft
 
+from helpers.yardstick import spent
+
 NOMINAL = 0.02, 0.03
 """Times that the machine is compared with [s]."""
-
-
-def least(work: Callable[[], object]) -> float:
-    """Least processor time of ten runs [s]."""
-    found = []
-    for _ in range(10):
-        begin = time.process_time()
-        work()
-        found.append(time.process_time() - begin)
-    return min(found)
 
 
 def count() -> int:
@@ -34,6 +23,6 @@ def count() -> int:
 def test_how_fast_the_machine_is(record, rng) -> None:
     values = rng.normal(size=1_000_000)
     transform, loop = NOMINAL
-    ratio = transform / least(lambda: irfft(rfft(values)))
+    ratio = transform / spent(lambda: irfft(rfft(values)), runs=10)
     record("20 ms over the time of a Fourier transform there and back of 1e6 samples", ratio, 0.0)
-    record("30 ms over the time of a loop of Python of 1e6 turns", loop / least(count), 0.0)
+    record("30 ms over the time of a loop of Python of 1e6 turns", loop / spent(count, runs=10), 0.0)

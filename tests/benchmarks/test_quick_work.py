@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import time
-import warnings
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -16,13 +13,13 @@ from aerobalance.identification.base_excitation.rig import identify_rig
 from aerobalance.identification.free_decay.fit import identify_decay
 from aerobalance.identification.step_relaxation.identify import identify_releases
 from aerobalance.recording.components import COMPONENTS
-from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.simulation import CableCut, RandomDrive, Sensor, SteppedSine, Sweep, VibrationRig
 from aerobalance.simulation.published import VIBRATION_RIG
 from aerobalance.simulation.six_balance import random_balance
 from aerobalance.simulation.six_components import Release, SixComponentRig
 from aerobalance.uncertainty.monte_carlo import monte_carlo
 from helpers.accuracy import RIG, WIDE, smooth_run
+from helpers.yardstick import spent
 
 pytestmark = pytest.mark.alone
 
@@ -30,25 +27,13 @@ SHARED: float = 2.0
 """By how much a limit may be missed here: another's work on the same machine costs a part of a processor's speed."""
 
 
-def seconds(work: Callable[[], object]) -> float:
-    """Least processor time of two runs, the first one left out [s]."""
-    times = []
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DataQualityWarning)
-        for _ in range(3):
-            begin = time.process_time()
-            work()
-            times.append(time.process_time() - begin)
-    return min(times[1:])
-
-
 @pytest.mark.parametrize("rate", [1600.0, 25_000.0])
 def test_decay(rate: float, record, rng) -> None:
     rig = CableCut(sensors={"AF": Sensor(noise=10.0)}, rate=rate)
     recording = rig.run(4.0, rng).recording
-    spent = seconds(lambda: identify_decay(recording, mass=rig.dynamics.mass))
-    record(f"0.5 s over the processor time of identify decay, 4 s at {rate:g} Hz", 0.5 / spent, 1.0)
-    assert spent < 0.5 * SHARED
+    taken = spent(lambda: identify_decay(recording, mass=rig.dynamics.mass), runs=2, first=False)
+    record(f"0.5 s over the processor time of identify decay, 4 s at {rate:g} Hz", 0.5 / taken, 1.0)
+    assert taken < 0.5 * SHARED
 
 
 DRIVES = {
@@ -62,9 +47,9 @@ DRIVES = {
 def test_rig(drive: str, record, rng) -> None:
     sensors = {"AF": Sensor(noise=0.05, delay=3e-6), "ground_acceleration": Sensor(noise=0.05)}
     recording = VibrationRig(sensors=sensors).run(DRIVES[drive], rng).recording
-    spent = seconds(lambda: identify_rig(recording, mass=VIBRATION_RIG.mass, modes="auto"))
-    record(f"2 s over the processor time of identify rig, 6 s at 25 kHz, {drive}", 2 / spent, 1.0)
-    assert spent < 2 * SHARED
+    taken = spent(lambda: identify_rig(recording, mass=VIBRATION_RIG.mass, modes="auto"), runs=2, first=False)
+    record(f"2 s over the processor time of identify rig, 6 s at 25 kHz, {drive}", 2 / taken, 1.0)
+    assert taken < 2 * SHARED
 
 
 def test_six_releases(record, rng) -> None:
@@ -75,9 +60,9 @@ def test_six_releases(record, rng) -> None:
         rig = SixComponentRig(balance, (Release(load, 0.05 + rng.uniform(0, 0.01)),), output="loads")
         made.append(replace(rig.run(0.6, rng).recording, name=f"release {name}"))
     half_range = dict(zip(COMPONENTS, balance.half_range.tolist(), strict=True))
-    spent = seconds(lambda: identify_releases(made, half_range=half_range))
-    record("10 s over the processor time of six releases of 0.6 s at 25 kHz", 10 / spent, 1.0)
-    assert spent < 10 * SHARED
+    taken = spent(lambda: identify_releases(made, half_range=half_range), runs=2, first=False)
+    record("10 s over the processor time of six releases of 0.6 s at 25 kHz", 10 / taken, 1.0)
+    assert taken < 10 * SHARED
 
 
 def test_monte_carlo(record, rng) -> None:
@@ -95,7 +80,7 @@ def test_monte_carlo(record, rng) -> None:
         filter_.smooth(reading.filled[:, None], [FORCE])
         filter_.smoothed_variance  # noqa: B018
 
-    allowed = 60 * seconds(smooth) + 1
-    spent = seconds(lambda: monte_carlo(force, draws=200, seed=1))
-    record("60 smoothing passes and a second over 200 draws, 100,000 samples at 25 kHz", allowed / spent, 1.0)
-    assert spent < 2 * SHARED * allowed
+    allowed = 60 * spent(smooth, runs=2, first=False) + 1
+    taken = spent(lambda: monte_carlo(force, draws=200, seed=1), runs=2, first=False)
+    record("60 smoothing passes and a second over 200 draws, 100,000 samples at 25 kHz", allowed / taken, 1.0)
+    assert taken < 2 * SHARED * allowed

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from scipy.fft import irfft, rfft
@@ -13,17 +10,7 @@ from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.prior import fit_prior
 from aerobalance.estimation.statespace.kalman import FORCE, KalmanFilter
 from helpers.accuracy import RIG, SHARP, T128, smooth_run
-
-
-def seconds(work: Callable[[], object]) -> float:
-    """Least processor time of three times, after one to warm up."""
-    work()
-    times = []
-    for _ in range(3):
-        begin = time.process_time()
-        work()
-        times.append(time.process_time() - begin)
-    return min(times)
+from helpers.yardstick import spent
 
 
 @pytest.mark.alone
@@ -42,6 +29,6 @@ def test_smoothing_pass_with_variance(place: str, n: int, most: float, record, r
         filter_.smooth(values, [FORCE])
         filter_.smoothed_variance  # noqa: B018
 
-    ratio = seconds(smooth) / seconds(lambda: irfft(rfft(values[:, 0]), n))
+    ratio = spent(smooth, runs=3, first=False) / spent(lambda: irfft(rfft(values[:, 0]), n), runs=3, first=False)
     record(f"{most:g} over the transforms that smoothing of {n} samples costs, {place}", most / ratio, 1.0)
     assert ratio < 2 * most  # transforms of a megabyte gain more from a processor that nobody else uses

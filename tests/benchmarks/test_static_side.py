@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -18,6 +17,7 @@ from aerobalance.balance.terms import codes
 from aerobalance.recording.channel import Array
 from aerobalance.simulation.calibration_stand import CAPACITIES, CalibrationStand, random_balance
 from helpers.tare_bound import tare_bound
+from helpers.yardstick import spent
 from seeds import seed_from
 
 NOISE = 0.7e-3
@@ -110,9 +110,9 @@ def test_loads_beside_numpy_and_a_copy(record, rng) -> None:
     found, expected = (loads / CAPACITIES for loads in (balance.loads(outputs).loads, by_equation_2(balance, outputs)))
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-10)
     many = np.tile(outputs, (20, 1))  # beyond what a processor keeps beside it
-    ours = spent(lambda: balance.loads(outputs))
-    iteration = spent(lambda: by_equation_2(balance, outputs))
-    copy = spent(many.copy) / 20
+    ours = spent(lambda: balance.loads(outputs), runs=5, first=False)
+    iteration = spent(lambda: by_equation_2(balance, outputs), runs=5, first=False)
+    copy = spent(many.copy, runs=5, first=False) / 20
     record("time of Eq. (2) iterated in numpy over that of six loads, 27 terms, to 1e-10", iteration / ours, 60.0)
     record("time of a copy over that of six loads, 27 terms", copy / ours, 0.08)
     assert iteration / ours > 10
@@ -130,17 +130,6 @@ def by_equation_2(balance: BalanceMatrix, outputs: Array) -> Array:
         if np.max(np.abs(loads - before) / CAPACITIES) < 1e-10:
             return loads
     raise AssertionError("the iteration does not end")
-
-
-def spent(work: Callable[[], object]) -> float:
-    """Least processor time of five runs, the first one left out [s]."""
-    work()
-    found = []
-    for _ in range(5):
-        begin = time.process_time()
-        work()
-        found.append(time.process_time() - begin)
-    return min(found)
 
 
 @pytest.mark.alone
