@@ -6,8 +6,9 @@ What it says of one component is found in `aerobalance.estimation.checks.other_d
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import chain
 from typing import Any, Final
 
@@ -17,10 +18,17 @@ from aerobalance.dynamics.modal import ModalModel
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.asked_readings import unbroken, without_steps
+from aerobalance.estimation.checks.ground_doubts import LEFT_OPEN as CHANNEL_LEFT_OPEN
 from aerobalance.estimation.checks.mode_shapes import shape_doubts
 from aerobalance.estimation.checks.model_error import LEFT_OPEN, TOLD, as_noise, error_under
 from aerobalance.estimation.checks.not_linear import NotLinear, all_along, friction_of, not_linear
-from aerobalance.estimation.checks.other_dynamics import ModelDoubt, as_said, other_dynamics_in, peaks_of
+from aerobalance.estimation.checks.other_dynamics import (
+    ModelDoubt,
+    as_said,
+    driven_dynamics,
+    other_dynamics_in,
+    peaks_of,
+)
 from aerobalance.estimation.checks.peaks import peak_doubts
 from aerobalance.estimation.checks.spoken import Spoken
 from aerobalance.estimation.checks.step_ringing import friction_by_steps
@@ -29,7 +37,7 @@ from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.independent_record import SingleRecord
 from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.record import ComponentRecord
-from aerobalance.estimation.result import ComponentForce, with_doubt, with_errors
+from aerobalance.estimation.result import ComponentForce, budget_of, with_doubt, with_errors
 from aerobalance.estimation.spectra.lines import Line
 from aerobalance.estimation.steps import Step, columns_of
 from aerobalance.recording.channel import Array
@@ -88,25 +96,33 @@ def checked(force: Force) -> Force:
             parts[doubt.component] = replace(part, doubts=(*part.doubts, doubt))
     else:
         for name in force:
-            one, found_motion = record.component_record(name), force[name].found_motion
-            own = one.dynamics
-            one = one if found_motion is None else one.with_motion(found_motion)
+            asked, found_motion = record.component_record(name), force[name].found_motion
+            own = asked.dynamics
+            one = asked if found_motion is None else asked.with_motion(found_motion)
             kinds = {doubt.kind for doubt in force[name].doubts}
             if kinds & {"resolution", "too many steps"}:
                 continue  # what rounding makes of a load swings at multiples of it, and so does a square wave
-            shown = other_dynamics_in(one, **known_of_one(one))
-            if "colored noise" in kinds:
-                shown = replace(shown, silent=False)  # noise does not ring
+            facts = known_of_one(one)
+            shown = driven_dynamics(asked, used=one, steps=facts["steps"], lines=facts["lines"])
+            if shown is not None:  # what it leaves of the motion looks like another gain or a delay of its channel
+                parts[name] = _without_ground(parts[name])
+                kinds = {doubt.kind for doubt in parts[name].doubts}
+            else:
+                shown = other_dynamics_in(one, **facts)
+            net, lacking = one.motion_force, one.motion_force - asked.motion_force
             found, interval = shown.doubts(own), one.interval
             bent, error = _not_linear(one, force[name]) or (None, np.zeros(0))
             moved = shown.frequency is not None and abs(shown.frequency[0]) > MOVED
             if bent is not None and bent.of_spring and bent.probability == 1 and not moved:
-                found = _of_a_spring(found, bent, error, force=force[name].values, own=own, interval=interval)
+                found = _of_a_spring(found, bent, error, force=force[name].values + net, own=own, interval=interval)
             elif bent is not None and not bent.of_spring and bent.probability == 1:
                 found = [one for one in found if one.doubt.kind != "damping ratio"]  # it damps what rings as well
-            parts[name] = _raised(parts[name], found, own, interval=interval)
+            under = partial(_error_under, force[name].values + net, lacking, own=own, interval=interval)
+            parts[name] = _raised(parts[name], found, own, under, interval=interval)
             if shown.possible is not None:
-                parts[name] = _left_open(parts[name], shown.possible, own, interval=interval, within=shown.within)
+                parts[name] = _left_open(
+                    parts[name], shown.possible, own, under, interval=interval, within=shown.within
+                )
             # damping that is not linear may look like noise of a color
             colored = "colored noise" in kinds and bent is not None and not bent.of_spring and bent.probability < 1
             if bent is not None and not found and not colored and _stands(bent, one, force[name]):
@@ -129,13 +145,52 @@ def _besides_motion(force: ComponentForce, record: ComponentRecord) -> tuple[Lin
     return (*force.hum, *drifting)
 
 
-def _raised(force: ComponentForce, found: list[ModelDoubt], own: ModalModel, *, interval: float) -> ComponentForce:
+def _error_under(net: Array, lacking: Array, other: ModalModel, *, own: ModalModel, interval: float) -> Array:
+    """Error of a force if the balance is another, shape (n,) [N].
+
+    The balance is under that of the ground's motion as well. Where a channel of it was brought to what the load shows
+    with the expected dynamics, it was not the channel.
+
+    Parameters
+    ----------
+    net
+        The force and that of the motion together, shape (n,) [N].
+    lacking
+        What the motion was changed by, as a force, shape (n,) [N].
+    other, own, interval
+        As in `error_under`.
+    """
+    return error_under(net, own=own, other=other, interval=interval) - lacking
+
+
+def _without_ground(force: ComponentForce) -> ComponentForce:
+    """The same without doubts of the channels of the ground's motion and what these added to its uncertainty.
+
+    What was done to a channel on request stays said.
+    """
+    of_ground = (f"{DOUBTED}ground", f"{DOUBTED}attitude", CHANNEL_LEFT_OPEN)
+    kept = tuple(one for one in force.contributions if not one.name.startswith(of_ground))
+    doubts = tuple(one for one in force.doubts if not one.kind.startswith(("ground", "attitude")) or one.effect == 0)
+    if len(kept) == len(force.contributions):
+        return replace(force, doubts=doubts)
+    whole = np.sqrt(np.sum([one.deviation**2 for one in kept], axis=0))
+    return replace(force, doubts=doubts, contributions=kept, uncertainty=whole, budget=budget_of(kept))
+
+
+def _raised(
+    force: ComponentForce,
+    found: list[ModelDoubt],
+    own: ModalModel,
+    under: Callable[[ModalModel], Array],
+    *,
+    interval: float,
+) -> ComponentForce:
     """A force with doubts of its dynamics, each with its effect, which is added to the uncertainty."""
     for one in found:
         if one.other is None:
             force = with_doubt(force, one.doubt)
             continue
-        error = _within(error_under(force.values, own=own, other=one.other, interval=interval), one.within)
+        error = _within(under(one.other), one.within)
         doubt = replace(one.doubt, effect=float(np.sqrt(np.mean(error**2))))
         period = 1 / own.natural_frequency
         noise = as_noise(error, name=f"{DOUBTED}{doubt.kind}", period=period, interval=interval)
@@ -153,13 +208,19 @@ def _within(error: Array, where: slice | None) -> Array:
 
 
 def _left_open(
-    force: ComponentForce, possible: Spoken, own: Dynamics, *, interval: float, within: slice | None
+    force: ComponentForce,
+    possible: Spoken,
+    own: Dynamics,
+    under: Callable[[ModalModel], Array],
+    *,
+    interval: float,
+    within: slice | None,
 ) -> ComponentForce:
     """A force whose uncertainty counts other dynamics by their probability.
 
     They are doubted as well where that is much of the force: nobody looks for it in a budget.
     """
-    error = _within(error_under(force.values, own=own, other=possible.dynamics, interval=interval), within)
+    error = _within(under(possible.dynamics), within)
     weighted = np.sqrt(possible.probability) * error
     noise = as_noise(weighted, name=LEFT_OPEN, period=1 / own.natural_frequency, interval=interval)
     effect, values = _rms(weighted), force.values

@@ -19,6 +19,7 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.asked_readings import longest_stretch, unbroken, without_steady_tones, without_steps
 from aerobalance.estimation.checks.averaged_spectrum import Averaged
 from aerobalance.estimation.checks.changing_resonance import changes_along, stretches_of
+from aerobalance.estimation.checks.driven_response import driven_response
 from aerobalance.estimation.checks.evidence import Evidence
 from aerobalance.estimation.checks.local_modes import missing_mode, own_resonance
 from aerobalance.estimation.checks.model_error import BY_PROBABILITY
@@ -200,6 +201,37 @@ class ModelDoubt:
     doubt: Doubt
     other: ModalModel | None
     within: slice | None = None
+
+
+def driven_dynamics(
+    record: SingleRecord, *, used: SingleRecord, steps: Sequence[Step], lines: Sequence[Line]
+) -> OtherDynamics | None:
+    """What the response to the ground's motion says against the dynamics; None where it says nothing.
+
+    Parameters
+    ----------
+    record, used, steps, lines
+        As in `driven_response`.
+    """
+    found = driven_response(record, used=used, steps=steps, lines=lines)
+    if found is None:
+        return None
+    dynamics = record.dynamics
+    known = [
+        dynamics.uncertainty(name) / (getattr(dynamics, name) or 1.0)
+        for name in ("natural_frequency", "damping_ratio")
+    ]
+    frequency, damping = (
+        _if_changed(float(change), float(u)) for change, u in zip(found.change, np.hypot(found.u, known), strict=True)
+    )
+    if frequency is None and damping is None:
+        return None
+    return OtherDynamics(
+        dynamics.component,
+        frequency=frequency,
+        damping=damping,
+        during=", as its response to the ground's motion shows",
+    )
 
 
 def other_dynamics_in(

@@ -344,7 +344,7 @@ def _others(dynamics: Dynamics, peaks: list[float], *, confirmed: float) -> Iter
     ]
     for peak in peaks:
         near = abs(peak / dynamics.natural_frequency - 1) < SETTINGS.far  # a little off, it explains much as well
-        if near or confirmed < SETTINGS.confirmed:
+        if near or peak == peaks[0] or confirmed < SETTINGS.confirmed:
             yield "natural frequency", dynamics.retuned(frequency=peak / dynamics.natural_frequency, damping=1.0)
         large = peak in (*peaks[:1], *apart[:1])
         for share, ratio in (*SETTINGS.shares, *(SETTINGS.large_shares if large else ())):

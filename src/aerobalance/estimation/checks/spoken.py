@@ -227,7 +227,7 @@ def _moved(spoken: Spoken, evidence: Evidence, dynamics: Dynamics, *, confirmed:
     spoken = spoken._replace(kind=kind, dynamics=other)
     if moved <= SETTINGS.far:
         return spoken
-    if confirmed > SETTINGS.confirmed:
+    if confirmed > SETTINGS.confirmed > spoken.gain:
         return None
     if other.damping_ratio <= SETTINGS.broad or confirmed <= -SETTINGS.decisive:
         return spoken
