@@ -67,6 +67,10 @@ def ticking(path: Path, values: np.ndarray, *, rows: int, lost: tuple[int, int] 
     return path
 
 
+def recording_of(values: np.ndarray) -> Recording:
+    return Recording.from_columns(np.arange(values.size) / RATE, {"AF": Channel("AF", values, "N")})
+
+
 def quiet(work):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", DataQualityWarning)
@@ -267,6 +271,23 @@ def test_what_goes_wrong_with_a_part_is_no_fault_of_the_file(tmp_path, seed):
     path.write_bytes(path.read_bytes()[:2000])
     with pytest.raises(ReadError), open_record(path):
         pass
+
+
+@pytest.mark.parametrize("ending", ["h5", "mat", "nc", "uff"])
+def test_missing_readings_of_a_part_are_told_in_every_format(tmp_path, seed, monkeypatch, ending):
+    """Nothing that is said while a file is open is taken for what its library says."""
+    monkeypatch.setattr("aerobalance.io.long_record.SHORT", 100)
+    values, path = load(seed, 2000), tmp_path / f"run.{ending}"
+    values[300:310] = np.nan
+    quiet(lambda: write_recording(path, recording_of(values)))
+    with (
+        pytest.warns(DataQualityWarning, match="10 of 1000 samples of AF are missing"),
+        open_record(path) as record,
+    ):
+        assert not isinstance(record, Recording)
+        record.part(0, 1000)
+    with pytest.raises(FitError, match="of my own"), open_record(path):
+        raise FitError("of my own")
 
 
 def test_temperature_is_less_its_mean_over_the_whole_record(tmp_path):

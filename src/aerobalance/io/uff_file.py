@@ -101,12 +101,13 @@ def opened(path: Path) -> Iterator[Holdings]:
     ReadError
         The file is damaged.
     """
-    with opened_file(path) as file, library_faults(path, NAME, "its data sets"):
-        sets, others = _sets(path, file)
-        if not sets:
-            kinds = ", ".join(sorted(others)) or "none"
-            raise ReadError(path, "", f"holds no data set 58 (readings over time); its data sets are {kinds}")
-        holdings = _holdings(path, file, sets)
+    with opened_file(path) as file:
+        with library_faults(path, NAME, "its data sets"):
+            sets, others = _sets(path, file)
+            if not sets:
+                kinds = ", ".join(sorted(others)) or "none"
+                raise ReadError(path, "", f"holds no data set 58 (readings over time); its data sets are {kinds}")
+            holdings = _holdings(path, file, sets)
         yield holdings
 
 
