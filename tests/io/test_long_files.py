@@ -5,8 +5,10 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -23,6 +25,7 @@ from aerobalance.estimation.force import ForceWork, estimate_force
 from aerobalance.estimation.force_parts import DIVISION, Division
 from aerobalance.io import load_channel_map, read, write_recording
 from aerobalance.io.dynamics_file import write_dynamics
+from aerobalance.io.format_library import library_faults
 from aerobalance.io.hdf5_layout import BlockWriter, Provenance, StoredChannel
 from aerobalance.io.hdf5_parts import opened_record
 from aerobalance.io.long_record import SHORT, open_record
@@ -262,6 +265,40 @@ def test_a_damaged_block_is_missing_in_its_part_only(tmp_path, seed):
     assert "block 56 of 72 (1000 samples) does not agree with its checksum" in str(said[0].message)
     assert "1000 sample(s) are missing in 1 gap" in str(said[1].message)
     assert np.array_equal(np.flatnonzero(~np.isfinite(part.channel("AF").values)), np.arange(1000, 2000))
+
+
+def test_filters_of_warnings_are_those_of_before_whichever_thread_is_done_first():
+    """A library is quiet in the thread that works with it; what others say meanwhile and afterwards is heard."""
+    inside, second_inside, first_done = threading.Event(), threading.Event(), threading.Event()
+
+    def first() -> None:
+        with library_faults(Path("one.tdms"), "TDMS"):
+            inside.set()
+            assert second_inside.wait(10)
+
+    def second() -> None:
+        assert inside.wait(10)
+        with library_faults(Path("other.tdms"), "TDMS"):
+            second_inside.set()
+            assert first_done.wait(10)
+            warnings.warn("of the library", UserWarning, stacklevel=1)
+
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        with ThreadPoolExecutor(2) as pool:
+            other = pool.submit(second)
+            pool.submit(first).result()
+            warnings.warn("meanwhile", UserWarning, stacklevel=1)
+            first_done.set()
+            other.result()
+        warnings.warn("afterwards", UserWarning, stacklevel=1)
+        count = len(warnings.filters)
+        for _ in range(3):  # no more of them however often others come before
+            warnings.simplefilter("always")
+            with library_faults(Path("one.tdms"), "TDMS"):
+                pass
+        assert len(warnings.filters) == count
+    assert [str(one.message) for one in caught] == ["meanwhile", "afterwards"]
 
 
 def test_what_goes_wrong_with_a_part_is_no_fault_of_the_file(tmp_path, seed):

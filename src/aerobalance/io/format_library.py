@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import warnings
 from collections.abc import Iterator
 from importlib import import_module
 from importlib.util import find_spec
@@ -12,15 +11,14 @@ from typing import Any
 
 import numpy as np
 
-from aerobalance.recording.errors import ReadError
+from aerobalance.recording.errors import ReadError, quiet_libraries
 
 
 @contextlib.contextmanager
 def library_faults(path: Path, name: str, where: str = "") -> Iterator[None]:
     """Turn whatever a library fails with on a file into a `ReadError`, and keep what it would print to itself."""
     try:
-        with warnings.catch_warnings(), np.errstate(all="ignore"):
-            warnings.simplefilter("ignore")
+        with quiet_libraries(), np.errstate(all="ignore"):
             yield
     except (ReadError, GeneratorExit, KeyboardInterrupt):
         raise
@@ -49,8 +47,7 @@ def library(module: str, extra: str, path: Path | str, what: str) -> Any:
         raise ReadError(
             path, "", f"is {what}, and needs a library that is not installed: pip install 'aerobalance[{extra}]'"
         )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of what the library finds or lacks on this machine
+    with quiet_libraries():  # of what the library finds or lacks on this machine
         return import_module(module)
 
 

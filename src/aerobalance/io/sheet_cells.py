@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import re
-import warnings
 import zipfile
 from collections import Counter
 from collections.abc import Iterable, Sequence
@@ -17,7 +16,7 @@ from aerobalance.io.opening import opened_file
 from aerobalance.io.text_cells import SEPARATORS
 from aerobalance.io.text_layout import Layout
 from aerobalance.io.text_table import read_text
-from aerobalance.recording.errors import ReadError
+from aerobalance.recording.errors import ReadError, quiet_libraries
 
 WORKBOOK: Final = b"PK\x03\x04"
 """First bytes of an .xlsx workbook, which is a zip archive."""
@@ -168,8 +167,7 @@ def _workbook(path: Path) -> tuple[Sheet, ...]:
             size = sum(entry.file_size for entry in archive.infolist())
         if size > MOST_BYTES:
             raise ReadError(path, "", f"unpacks to {size / 1e6:.0f} MB; at most {MOST_BYTES / 1e6:.0f} MB are read")
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of styles and extensions, which no reading depends on
+        with quiet_libraries():  # of styles and extensions, which no reading depends on
             book = openpyxl.load_workbook(path, read_only=True, data_only=True)
             try:
                 return tuple(Sheet(sheet.title, tuple(_rows(path, sheet)), ".") for sheet in book.worksheets)

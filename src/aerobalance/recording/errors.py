@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence, ValuesView
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 _PASSED_BY: Final = (str(Path(__file__).parents[1]) + os.sep, contextlib.__file__)
 """Files that a warning is not the place of: those of the package, and what stands between two of them."""
@@ -162,3 +162,39 @@ def warn_quality(text: str) -> None:
     while frame.f_back is not None and frame.f_code.co_filename.startswith(_PASSED_BY):
         frame, level = frame.f_back, level + 1
     warnings.warn(text, DataQualityWarning, stacklevel=level)
+
+
+_libraries_quiet: ContextVar[bool] = ContextVar("libraries_quiet", default=False)
+
+
+class _OfQuietLibraries:
+    """Stands for the pattern of the text in a filter of warnings: fits what is said where libraries are quiet."""
+
+    def match(self, text: str) -> bool:
+        """Return whether a warning is one of those."""
+        del text
+        return _libraries_quiet.get()
+
+
+_QUIET: Final = ("ignore", _OfQuietLibraries(), Warning, None, 0)
+"""A filter that stays among those of the process: it ignores nothing but within `quiet_libraries`."""
+
+
+@contextmanager
+def quiet_libraries() -> Iterator[None]:
+    """Ignore all warnings, as libraries give them of what does not matter here, in this thread alone.
+
+    `warnings.catch_warnings` puts back the filters of all threads: where it is left in another order than entered, as
+    by threads side by side, or beside a compiler that uses it, those of one stay for the rest of the process.
+    """
+    filters = cast("list[object]", warnings.filters)
+    if not filters or filters[0] is not _QUIET:
+        filters.insert(0, _QUIET)
+        for place in range(len(filters) - 1, 0, -1):  # one is enough, however often others come before it
+            if filters[place : place + 1] == [_QUIET]:
+                del filters[place]
+    token = _libraries_quiet.set(True)
+    try:
+        yield
+    finally:
+        _libraries_quiet.reset(token)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import contextlib
 import re
-import warnings
 from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 from typing import TYPE_CHECKING, Final
@@ -20,7 +19,7 @@ from numpy.typing import ArrayLike
 
 from aerobalance.recording.channel import QUANTITIES, Array, unit_inside
 from aerobalance.recording.components import COMPONENTS, is_gauge
-from aerobalance.recording.errors import WITH_A_MATRIX
+from aerobalance.recording.errors import WITH_A_MATRIX, quiet_libraries
 
 if TYPE_CHECKING:
     import pint
@@ -321,8 +320,7 @@ def _parsed(text: str) -> pint.Unit | None:
     """Parse a unit; None where it is none."""
     if not _READABLE.fullmatch(text) or _WILD_POWER.search(text):
         return None
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with quiet_libraries():
         try:
             return _registry().parse_units(text)
         except Exception:  # noqa: BLE001 - the parser of the unit library fails in a dozen ways on text that is no unit
