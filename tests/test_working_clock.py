@@ -15,6 +15,7 @@ from aerobalance.app.cli import main
 from aerobalance.app.commands.shared import opened
 from aerobalance.balance.loads import Loads
 from aerobalance.balance.loads_of_outputs import loads_of_outputs
+from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.zeros import GaugeZero
 from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.dynamics.modal import Mode
@@ -24,13 +25,14 @@ from aerobalance.estimation.force_parts import DIVISION, Division
 from aerobalance.estimation.forces import ForceSettings
 from aerobalance.estimation.record_look import FREEDOM, Look, _of_block
 from aerobalance.estimation.record_look import SETTINGS as LOOK
-from aerobalance.estimation.working_record import AT_ONCE
+from aerobalance.estimation.working_record import AT_ONCE, DecimatedRecord
 from aerobalance.io import read, write_recording
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.channel import Channel
+from aerobalance.recording.decimation import Decimation
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
-from aerobalance.simulation.calibration_stand import random_balance
+from aerobalance.simulation.calibration_stand import CAPACITIES, random_balance
 from aerobalance.uncertainty.budget import component_budget, scalars, spectrum
 from aerobalance.uncertainty.mean_loads import mean_loads
 from helpers.cable_cut import T128
@@ -154,10 +156,9 @@ def test_gauge_outputs_become_loads_on_the_slower_clock(rng) -> None:
     run = recording(load, pitch=np.zeros(SAMPLES))
     channels = {name: Channel(name, outputs[:, place], "mV/V") for place, name in enumerate(names.values())}
     bridges = replace(run, channels={**channels, "pitch": run.channel("pitch")})
-    still = GaugeZero(np.zeros(6), np.zeros(6), "known", np.zeros(6), model_on=False)
 
     def made_ready(given: Recording | Loads) -> Loads:
-        return replace(loads_of_outputs(given, balance, zero=still), ready=True)
+        return replace(loads_of_outputs(given, balance, zero=STILL), ready=True)
 
     of_bridges = ForceWork(bridges, dynamics_of(T128), made_ready=made_ready, division=SHORT)
     assert of_bridges.working.every == work(run).working.every > 4
@@ -167,6 +168,76 @@ def test_gauge_outputs_become_loads_on_the_slower_clock(rng) -> None:
     assert rms(error) == pytest.approx(rms(plain.values - truth), rel=0.05)
     noise = "noise of the readings"  # beside it one of both may be in doubt by chance
     assert rms(found.budget[noise]) == pytest.approx(rms(plain.budget[noise]), rel=0.05)
+
+
+STILL = GaugeZero(np.zeros(6), np.zeros(6), "known", np.zeros(6), model_on=False)
+
+
+FEW = 40_003
+"""Samples of what becomes loads here."""
+
+
+def swinging(rng: np.random.Generator) -> np.ndarray:
+    """Loads of up to a third of capacity in all components of a balance, shape (n, 6) [N, N*m]."""
+    turns = 2 * np.pi * np.outer(np.arange(FEW) / RATE, [3.0, 4.1, 5.3, 6.7, 7.9, 9.2])
+    return CAPACITIES * np.sin(turns + rng.uniform(0, 6, 6)) / 3
+
+
+class Bridges:
+    """Gauge outputs that are worked on in five pieces of a slower clock, made loads whole and in pieces."""
+
+    def __init__(self, balance: BalanceMatrix, outputs: np.ndarray) -> None:
+        stamps = np.arange(FEW) / RATE
+        columns = {f"r{name}": outputs[:, place] for place, name in enumerate(balance.gauges)}
+        channels = {name: Channel(name, values, "mV/V") for name, values in columns.items()}
+        self.balance, self.record = balance, Recording.from_columns(stamps, channels, name="fast")
+
+    def loads(self, given: Recording | Loads) -> Loads:
+        return given if isinstance(given, Loads) else loads_of_outputs(given, self.balance, zero=STILL)
+
+    def slow(self, record: Recording | Loads) -> Loads:
+        slow = DecimatedRecord(record, self.loads, Decimation(FACTOR, FEW), ("AF",))
+        return slow.part(0, slow.samples)
+
+
+@pytest.fixture
+def short_pieces(monkeypatch) -> None:
+    monkeypatch.setattr("aerobalance.estimation.working_record.AT_ONCE", 1 << 13)
+
+
+def test_doubts_about_bridges_are_those_of_all_pieces(rng, short_pieces) -> None:
+    """One bridge rests on a limit for a while, and another is dead later: the first piece shows neither."""
+    balance = replace(random_balance(seed_from(rng)), natural_zero=None)
+    outputs = balance.outputs(swinging(rng)) + rng.normal(0, 1e-6, (FEW, 6))  # mV/V
+    limited, dead = outputs[:, 2], outputs[:, 1]
+    limit = 0.3 * limited.max()
+    limited[10_000:22_500] = np.minimum(limited[10_000:22_500], limit)
+    dead[25_000:] = dead[25_000] + rng.normal(0, 1e-6, FEW - 25_000)
+    bridges = Bridges(balance, outputs)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataQualityWarning)
+        found = bridges.slow(bridges.record)
+    by_kind = {kind: {one.text for one in found.doubts if one.kind == kind} for kind in ("clipping", "stuck channel")}
+    for kind in by_kind:
+        assert [one.component for one in found.doubts if one.kind == kind] == list(found.components)
+    (clipped,), (stuck,) = by_kind.values()
+    share = np.mean(limited == limit)  # of all samples, and in each once
+    assert clipped.startswith(f"{100 * share:.2g} % of the readings of rS1 rest on one value or on a limit")
+    assert stuck.startswith("rN2 shows nothing but noise (")
+
+
+def test_bridges_that_read_next_to_nothing_do_so_in_all_pieces(rng, short_pieces) -> None:
+    """Before the wind is on, they read as little as if they were in another unit."""
+    balance = replace(random_balance(seed_from(rng)), natural_zero=None)
+    native = swinging(rng)
+    for on in (True, False):
+        native[: 10_000 if on else FEW] *= 1e-3
+        bridges = Bridges(balance, balance.outputs(native) + rng.normal(0, 1e-8, native.shape))
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", DataQualityWarning)
+            whole, found = bridges.loads(bridges.record), bridges.slow(bridges.record)
+        assert {one.kind for one in found.doubts} == {one.kind for one in whole.doubts} == (set() if on else {"units"})
+        assert [one.text for one in found.doubts] == [one.text for one in whole.doubts]
 
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")

@@ -227,22 +227,36 @@ def doubts_of_size(readings: Array, balance: BalanceMatrix, components: Sequence
     known = readings if whole.all() else readings[whole]
     if len(known) < SETTINGS.fewest:
         return
-    squares = np.diag(known.T @ known) / len(known)
-    share = float(np.max(np.sqrt(squares) / _largest_outputs(balance)))
+    share = share_of_largest(np.diag(known.T @ known) / len(known), balance)
     # noise and zeros of bridges that were set to nothing are as small
-    if not 0 < share < SETTINGS.no_load:
+    if not is_next_to_nothing(share):
         return
     scatter = known.std(axis=0)
     if not any(own > SETTINGS.shows_more * white_noise(column) for own, column in zip(scatter, known.T, strict=True)):
         return
-    text = (
+    text = size_text(share)
+    for component in components:
+        unit = si_unit(component) if component in COMPONENTS else "N"
+        yield Doubt("units", component, text, UNITS_ADVICE, None, unit)
+
+
+def share_of_largest(squares: Array, balance: BalanceMatrix) -> float:
+    """Largest output of a bridge (rms) over that at the largest load calibrated, from mean squares, shape (c,) [1]."""
+    return float(np.max(np.sqrt(squares) / _largest_outputs(balance)))
+
+
+def is_next_to_nothing(share: float) -> bool:
+    """Return whether outputs of so much of those at the largest loads are less than zeros repeat."""
+    return 0 < share < SETTINGS.no_load
+
+
+def size_text(share: float) -> str:
+    """What is said of bridges that read no more than a share of their outputs at the largest loads."""
+    return (
         f"all bridges read {100 * share:.2g} % of their outputs at the largest loads of the calibration (rms), or "
         "less: zeros repeat no better; or the outputs are in another unit than was read, such as V/V as mV/V, and the "
         "loads a thousand times too small"
     )
-    for component in components:
-        unit = si_unit(component) if component in COMPONENTS else "N"
-        yield Doubt("units", component, text, UNITS_ADVICE, None, unit)
 
 
 def check_rows(recording: Recording, balance: BalanceMatrix, channels: Sequence[Channel], noise: Array) -> None:
@@ -335,20 +349,30 @@ def doubts_of_limits(
     for gauge, values, rest in zip(balance.gauges, readings, rests.T, strict=True):
         share = float(rest.mean())
         if MOST_LOST < share < DEAD:
-            text = (
-                f"{100 * share:.2g} % of the readings of r{gauge} rest on one value or on a limit: too many to do "
-                "without, and all loads are wrong there"
-            )
+            text = rest_text(gauge, share)
         elif rest.any() and _crowds(values, rest):
-            text = (
-                f"readings of r{gauge} crowd before the value that {np.count_nonzero(rest)} of them rest on: the "
-                "amplifier limits softly, and all loads are wrong well before that"
-            )
+            text = crowd_text(gauge, int(np.count_nonzero(rest)))
         else:
             continue
         for name in components:
             unit = si_unit(name) if name in COMPONENTS else "N"
             yield Doubt("clipping", name, text, "record with a larger range", None, unit)
+
+
+def rest_text(gauge: str, share: float) -> str:
+    """What is said of a bridge of whose readings a share rests."""
+    return (
+        f"{100 * share:.2g} % of the readings of r{gauge} rest on one value or on a limit: too many to do without, "
+        "and all loads are wrong there"
+    )
+
+
+def crowd_text(gauge: str, count: int) -> str:
+    """What is said of a bridge whose readings crowd before a value that some of them rest on."""
+    return (
+        f"readings of r{gauge} crowd before the value that {count} of them rest on: the amplifier limits softly, and "
+        "all loads are wrong well before that"
+    )
 
 
 def _crowds(values: Array, rest: NDArray[np.bool_]) -> bool:

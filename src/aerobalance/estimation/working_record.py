@@ -10,12 +10,13 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from aerobalance.balance.load_sums import LoadSums
 from aerobalance.balance.loads import Loads
 from aerobalance.estimation.checks.impossible_channels import is_of_ground
 from aerobalance.estimation.checks.outliers import Outliers, outliers_of, without_outliers
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.decimation import Decimation
-from aerobalance.recording.doubts import Doubt
+from aerobalance.recording.doubts import Doubt, of_pieces
 from aerobalance.recording.errors import OfMissing, kept_warnings, warn_quality
 from aerobalance.recording.parts import Extent, LongRecord
 from aerobalance.recording.recording import Recording
@@ -95,14 +96,15 @@ class RecordAsItIs:
 class _Piece(NamedTuple):
     """Samples of the slower clock with balance loads, and what there is of the record's own samples there.
 
-    These are their time stamps and outliers, and how many readings of each channel are missing, where the record says
-    that some are.
+    These are their time stamps and outliers, how many readings of each channel are missing, where the record says that
+    some are, and numbers of the loads that were worked out of gauge outputs.
     """
 
     given: Recording | Loads
     stamps: Array
     outliers: Outliers
     missing: Counter[str]
+    sums: LoadSums | None
 
 
 class _Read(NamedTuple):
@@ -176,9 +178,10 @@ class DecimatedRecord:
         if len(edges) > 2 and edges[-1] - edges[-2] < step // 2:
             # a short piece is joined to the one before: the noise of its readings could not be estimated
             del edges[-2]
-        pieces, stamps, found, missing = zip(*side_by_side(self._piece, pairwise(edges)), strict=True)
+        pieces, stamps, found, missing, sums = zip(*side_by_side(self._piece, pairwise(edges)), strict=True)
         joined, whole, outliers = _joined(pieces), np.concatenate(stamps), Outliers.joined(found)
         del pieces
+        joined = self._judged(joined, [one for one in sums if one is not None])
         self._tell_missing(sum(missing, Counter[str]()), samples=whole.size)
         first = self.decimation.span(begin, end).start
         recording = joined.recording if isinstance(joined, Loads) else joined
@@ -218,6 +221,12 @@ class DecimatedRecord:
             names = ", ".join(name for name, one in missing.items() if one == count)
             warn_quality(OfMissing.readings(self.name, names, count, samples))
 
+    def _judged(self, joined: Given, sums: Sequence[LoadSums]) -> Given:
+        """The part, with doubts in its own numbers."""
+        if not isinstance(joined, Loads) or not sums:
+            return joined
+        return replace(joined, doubts=LoadSums.joined(sums).doubts(joined.doubts))
+
     def _piece(self, ends: tuple[int, int]) -> _Piece:
         """Read and decimate a piece of a part."""
         begin, end = ends
@@ -233,12 +242,15 @@ class DecimatedRecord:
             if not isinstance(text, OfMissing):
                 warn_quality(text)
         given = self.made_ready(read)
+        sums = None
+        if isinstance(given, Loads) and isinstance(read, Recording):
+            sums = LoadSums.of(read, given, there)
         outliers = outliers_of(given, self.components)
         given = self._without_short_gaps(without_outliers(given, outliers, self.components, clipped=True))
         recording = corrected(given.recording if isinstance(given, Loads) else given)
         stamps, outliers = recording.stamps[there], outliers.within(there)
         if not isinstance(given, Loads):
-            return _Piece(self._recording(recording, begin, end), stamps, outliers, missing)
+            return _Piece(self._recording(recording, begin, end), stamps, outliers, missing, sums)
         first = self.decimation.before + begin * self.every - wanted.start
         rows = slice(first, first + (end - begin - 1) * self.every + 1, self.every)
         values = self.decimation.decimated(given.values, begin, end)
@@ -255,7 +267,7 @@ class DecimatedRecord:
             stuck=None,
             clipped=None,
         )
-        return _Piece(felt, stamps, outliers, missing)
+        return _Piece(felt, stamps, outliers, missing, sums)
 
     def _without_short_gaps(self, given: Given) -> Given:
         """The readings with short gaps filled, of loads and of the ground's motion; of others all by straight lines.
@@ -346,5 +358,6 @@ def _joined(pieces: Sequence[Given]) -> Given:
         noise_covariance=np.mean(covariances, axis=0),
         beyond=sum((Counter(one.beyond) for one in felt), Counter[str]()),
         contraction=max(one.contraction for one in felt),
+        doubts=of_pieces(doubt for one in felt for doubt in one.doubts),
         recording=recording,
     )

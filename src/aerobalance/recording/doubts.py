@@ -7,6 +7,8 @@ from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Final
 
+from aerobalance.recording.wording import last_number, without_numbers
+
 KINDS: Final[Mapping[str, str]] = {
     "natural frequency": "the balance rings at another natural frequency than that of the dynamics",
     "damping ratio": "the balance rings with another damping ratio than that of the dynamics",
@@ -200,6 +202,21 @@ def verdict_of(doubts: Iterable[Doubt], sizes: Mapping[str, Size]) -> Verdict:
         if doubt.effect > SETTINGS.doubtful * size.uncertainty:
             worst = Verdict.DOUBTFUL
     return worst
+
+
+def of_pieces(doubts: Iterable[Doubt]) -> tuple[Doubt, ...]:
+    """Return doubts about pieces of samples as doubts about all of them: one of those that differ in numbers alone.
+
+    It is the one with the largest effect, or the largest last number, which tells how large a thing is.
+    """
+    groups: dict[tuple[str, str, str], list[Doubt]] = {}
+    for doubt in doubts:
+        groups.setdefault((doubt.kind, doubt.component, without_numbers(doubt.text)), []).append(doubt)
+    merged = []
+    for group in groups.values():
+        worst = max(group, key=lambda one: (one.effect or 0.0, last_number(one.text)))
+        merged.append(replace(worst, effect=None) if any(one.effect is None for one in group) else worst)
+    return tuple(merged)
 
 
 def of_all_parts(doubts: Iterable[tuple[Doubt, str]], *, parts: int) -> tuple[Doubt, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from typing import Final
 
 import numpy as np
@@ -11,6 +12,9 @@ TOLD: Final = 2.0
 
 SURE: Final = 0.1
 """Relative standard uncertainty of a frequency up to which it is said with its uncertainty."""
+
+_NUMBER: Final = re.compile(r"(?<![\w.])\d[\d.,]*(?:e[+-]?\d+)?")
+"""A number, and no digit of a name such as N1."""
 
 NOT_TOLD: Final = "cannot be told from this record"
 
@@ -65,3 +69,14 @@ def damping_text(damping: float, u: float, *, critical: float) -> str:
 def percent_text(part: float, *, most: float) -> str:
     """Return a part in percent, or that it is more than what means something."""
     return f"{100 * part:.2g} %" if part <= most else f"more than {100 * most:g} %"
+
+
+def without_numbers(text: str) -> str:
+    """Return a text with a sign in the place of each number: what is said alike of other samples has the same."""
+    return _NUMBER.sub("#", text)
+
+
+def last_number(text: str) -> float:
+    """Return the last number of a text; 0 where it has none."""
+    numbers = _NUMBER.findall(text)
+    return float(numbers[-1].rstrip(".,").replace(",", "")) if numbers else 0.0
