@@ -16,7 +16,7 @@ from aerobalance.estimation.force_smoother import SmootherResult
 from aerobalance.estimation.forces import ForceSettings
 from aerobalance.estimation.independent_record import IndependentRecord
 from aerobalance.recording.channel import Channel
-from aerobalance.recording.errors import DataQualityWarning, FitError
+from aerobalance.recording.errors import DataQualityWarning, FitError, OfLoads, OfMissing
 from aerobalance.recording.part_warnings import PartWarnings
 from aerobalance.recording.parts import Part, parts_of
 from aerobalance.recording.recording import Recording
@@ -422,6 +422,19 @@ def test_what_is_said_of_all_parts_is_said_once():
         "run: in part 1 of 4, from 0 s to 90 s: hum of 1.5e-3 N (and the like in 3 further parts)",
         "run: in part 2 of 4, from 90 s to 170 s: there is a gap",
     ]
+
+
+def test_the_part_with_most_of_it_is_told():
+    record = Recording.from_columns(np.arange(3000) / 10, {"AF": Channel("AF", np.zeros(3000), "N")}, name="run")
+    told = PartWarnings(record)
+    for part, count in zip(parts_of(3000, length=1000, margin=100), (3, 50, 7, 12), strict=True):
+        told.add(part, OfMissing.readings("run", "AF", count, 1000))
+        told.add(part, OfLoads(f"run: N1 leaves the range by {count} %", count / 100))
+        told.add(part, OfLoads("run: N2 leaves the range by 5 %", 0.05))
+    missing, first, second = told.sentences()
+    assert missing.startswith("run: in part 2 of 4, from 90 s to 170 s: 50 of 1000 samples of AF are missing")
+    assert first.endswith("to 170 s: N1 leaves the range by 50 % (and the like in 3 further parts)")
+    assert second == "run: N2 leaves the range by 5 %"  # of another bridge, whose name has another digit
 
 
 def test_a_summary_of_no_force_is_refused():

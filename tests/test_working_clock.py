@@ -200,6 +200,13 @@ class Bridges:
         return slow.part(0, slow.samples)
 
 
+def said_of(work) -> tuple[Loads, list[str]]:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", DataQualityWarning)
+        found = work()
+    return found, [str(one.message) for one in caught]
+
+
 @pytest.fixture
 def short_pieces(monkeypatch) -> None:
     monkeypatch.setattr("aerobalance.estimation.working_record.AT_ONCE", 1 << 13)
@@ -214,9 +221,7 @@ def test_doubts_about_bridges_are_those_of_all_pieces(rng, short_pieces) -> None
     limited[10_000:22_500] = np.minimum(limited[10_000:22_500], limit)
     dead[25_000:] = dead[25_000] + rng.normal(0, 1e-6, FEW - 25_000)
     bridges = Bridges(balance, outputs)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DataQualityWarning)
-        found = bridges.slow(bridges.record)
+    found, said = said_of(lambda: bridges.slow(bridges.record))
     by_kind = {kind: {one.text for one in found.doubts if one.kind == kind} for kind in ("clipping", "stuck channel")}
     for kind in by_kind:
         assert [one.component for one in found.doubts if one.kind == kind] == list(found.components)
@@ -224,6 +229,9 @@ def test_doubts_about_bridges_are_those_of_all_pieces(rng, short_pieces) -> None
     share = np.mean(limited == limit)  # of all samples, and in each once
     assert clipped.startswith(f"{100 * share:.2g} % of the readings of rS1 rest on one value or on a limit")
     assert stuck.startswith("rN2 shows nothing but noise (")
+    for text in (clipped, stuck):
+        assert sum(text in one for one in said) == 1
+    assert sum("rest on one value" in one or "nothing but noise" in one for one in said) == 2
 
 
 def test_bridges_that_read_next_to_nothing_do_so_in_all_pieces(rng, short_pieces) -> None:
@@ -238,6 +246,23 @@ def test_bridges_that_read_next_to_nothing_do_so_in_all_pieces(rng, short_pieces
             whole, found = bridges.loads(bridges.record), bridges.slow(bridges.record)
         assert {one.kind for one in found.doubts} == {one.kind for one in whole.doubts} == (set() if on else {"units"})
         assert [one.text for one in found.doubts] == [one.text for one in whole.doubts]
+
+
+def test_what_is_said_of_loads_is_said_once_with_numbers_of_the_part(rng, short_pieces) -> None:
+    """Pieces overlap; two of them have samples outside the calibrated range, some beside where they meet."""
+    balance = replace(random_balance(seed_from(rng)), natural_zero=None)
+    native = swinging(rng)
+    for place, height in ((8192, 1.2), (30_000, 1.6), (5000, 1.1)):
+        native[:, 5] += height * CAPACITIES[5] * np.exp(-(((np.arange(FEW) - place) / 500) ** 2))
+    bridges = Bridges(balance, balance.outputs(native) + rng.normal(0, 1e-6, native.shape))
+    whole, of_whole = said_of(lambda: bridges.loads(bridges.record))
+    found, said = said_of(lambda: bridges.slow(bridges.record))
+    (expected,) = (one for one in of_whole if "calibrated range" in one)
+    assert [one for one in said if "calibrated range" in one] == [expected]
+    assert found.beyond == whole.beyond == {"AF": whole.beyond["AF"]}
+    of_loads, nothing = said_of(lambda: bridges.slow(whole))  # they were told of when they were worked out
+    assert of_loads.beyond == whole.beyond
+    assert not nothing
 
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -14,7 +14,7 @@ from aerobalance.balance.zeros import MOVED_IN_RANGE, GaugeZero
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.doubts import Doubt
-from aerobalance.recording.errors import FitError, warn_quality
+from aerobalance.recording.errors import FitError, OfLoads, warn_quality
 from aerobalance.recording.linalg import table_covariance, whole_rows
 from aerobalance.recording.noise import white_noise
 from aerobalance.recording.recording import Recording
@@ -134,19 +134,54 @@ def _excess(balance: BalanceMatrix, native: Array) -> Array:
 
 def check_range(recording: Recording, balance: BalanceMatrix, native: Array) -> dict[str, int]:
     """Count the samples outside the calibrated range, and warn."""
-    least, most = balance.calibrated
     counts = beyond_range(balance, native)
     if not counts:
         return counts
-    beyond = _excess(balance, native)
-    for i, name in enumerate(balance.components):
-        if name in counts:
-            warn_quality(
-                f"{recording.name}: {name} leaves the calibrated range ({least[i]:.4g} to {most[i]:.4g}) in "
-                f"{counts[name]} of {native.shape[0]} samples, by up to {100 * beyond[:, i].max():.3g} % of it; the "
-                "matrix is extrapolated there"
-            )
+    for text in range_texts(recording.name, balance, counts, samples=len(native), excess=excess_of(balance, native)):
+        warn_quality(text)
     return counts
+
+
+def excess_of(balance: BalanceMatrix, native: Array) -> Array:
+    """How far loads lie outside the calibrated range at most, over that range, shape (c,); negative within."""
+    return np.asarray(_excess(balance, native).max(axis=0))
+
+
+def range_texts(
+    run: str, balance: BalanceMatrix, counts: Mapping[str, int], *, samples: int, excess: Array
+) -> Iterator[OfLoads]:
+    """What is said of loads of a run outside the calibrated range.
+
+    Parameters
+    ----------
+    run
+        Its name.
+    balance
+        The matrix.
+    counts
+        Samples outside, by the balance's own components.
+    samples
+        Samples that have loads.
+    excess
+        As `excess_of` returns it.
+    """
+    for name, least, most, over in zip(balance.components, *balance.calibrated, excess.tolist(), strict=True):
+        if counts.get(name):
+            yield OfLoads(
+                f"{run}: {name} leaves the calibrated range ({least:.4g} to {most:.4g}) in {counts[name]} of "
+                f"{samples} samples, by up to {100 * over:.3g} % of it; the matrix is extrapolated there",
+                over,
+            )
+
+
+def lost_texts(run: str, lost: int, *, samples: int) -> Iterator[OfLoads]:
+    """What is said of samples of a run whose gauge outputs no loads give."""
+    if lost:
+        yield OfLoads(
+            f"{run}: {lost} of {samples} samples have no loads that give their gauge outputs; they are missing in the "
+            "result. The outputs lie far outside the calibration",
+            lost / samples,
+        )
 
 
 def check_iteration(recording: Recording, balance: BalanceMatrix, native: Array) -> float:
@@ -154,12 +189,19 @@ def check_iteration(recording: Recording, balance: BalanceMatrix, native: Array)
     columns = np.ascontiguousarray(native.T)
     extremes = np.unique(np.concatenate([columns.argmin(axis=1), columns.argmax(axis=1)]))
     factor = float(np.max(balance.contraction(native[extremes])))
-    if factor > SETTINGS.nearly_diverging:
-        warn_quality(
-            f"{recording.name}: the interactions are so strong at the largest loads that the iteration shrinks an "
-            f"error only by {factor:.2g} a step (at 1 it diverges and loads are not unique); check zeros and units"
-        )
+    for text in iteration_texts(recording.name, factor):
+        warn_quality(text)
     return factor
+
+
+def iteration_texts(run: str, factor: float) -> Iterator[OfLoads]:
+    """What is said of a run whose largest loads the iteration hardly finds, by its contraction factor."""
+    if factor > SETTINGS.nearly_diverging:
+        yield OfLoads(
+            f"{run}: the interactions are so strong at the largest loads that the iteration shrinks an error only by "
+            f"{factor:.2g} a step (at 1 it diverges and loads are not unique); check zeros and units",
+            factor,
+        )
 
 
 UNITS_ADVICE: Final = (
@@ -431,3 +473,9 @@ def doubts_of_bridges(
         for name in components:
             unit = si_unit(name) if name in COMPONENTS else "N"
             yield Doubt("stuck channel", name, text, "look at the bridge, its cable and its amplifier", None, unit)
+
+
+def doubt_texts(run: str, doubts: Sequence[Doubt]) -> Iterator[OfLoads]:
+    """What is said of the doubts about loads of a run: one sentence for all components."""
+    for text in dict.fromkeys(str(doubt) for doubt in doubts):
+        yield OfLoads(f"{run}: {text}")

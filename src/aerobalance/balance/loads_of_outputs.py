@@ -22,10 +22,12 @@ from aerobalance.balance.load_checks import (
     check_range,
     check_rows,
     check_size,
+    doubt_texts,
     doubts_of_bridges,
     doubts_of_limits,
     doubts_of_size,
     doubts_of_zero,
+    lost_texts,
     stuck_outputs,
 )
 from aerobalance.balance.load_formats import FORM_MOMENTS, FORMS, Form, between_forms
@@ -100,11 +102,8 @@ def loads_of_outputs(
             f"{recording.name}: no sample gives loads; {lost} of {table.shape[0]} have no solution, the rest lack a "
             "gauge output. Check units, zeros and the order of the bridges"
         )
-    if lost:
-        warn_quality(
-            f"{recording.name}: {lost} of {table.shape[0]} samples have no loads that give their gauge outputs; they "
-            "are missing in the result. The outputs lie far outside the calibration"
-        )
+    for text in lost_texts(recording.name, lost, samples=len(table)):
+        warn_quality(text)
     native = solution.loads
     found = native if whole else native[known]
     beyond = check_range(recording, balance, found)
@@ -159,8 +158,8 @@ def loads_of_outputs(
         stuck=_few(stuck),
         clipped=_few(clipped),
     )
-    for text in dict.fromkeys(str(doubt) for doubt in loads.doubts):  # one sentence for all components
-        warn_quality(f"{recording.name}: {text}")
+    for text in doubt_texts(recording.name, loads.doubts):
+        warn_quality(text)
     return replace(loads, recording=with_loads(recording, loads))
 
 

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
 
+from aerobalance.balance.load_checks import beyond_range
 from aerobalance.balance.load_sums import LoadSums
 from aerobalance.balance.loads import Loads
 from aerobalance.estimation.checks.impossible_channels import is_of_ground
@@ -17,7 +18,7 @@ from aerobalance.estimation.checks.outliers import Outliers, outliers_of, withou
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.decimation import Decimation
 from aerobalance.recording.doubts import Doubt, of_pieces
-from aerobalance.recording.errors import OfMissing, kept_warnings, warn_quality
+from aerobalance.recording.errors import OfLoads, OfMissing, kept_warnings, warn_quality
 from aerobalance.recording.parts import Extent, LongRecord
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import interpolate_gaps_linearly
@@ -97,7 +98,7 @@ class _Piece(NamedTuple):
     """Samples of the slower clock with balance loads, and what there is of the record's own samples there.
 
     These are their time stamps and outliers, how many readings of each channel are missing, where the record says that
-    some are, and numbers of the loads that were worked out of gauge outputs.
+    some are, numbers of the loads that were worked out of gauge outputs, and what was said.
     """
 
     given: Recording | Loads
@@ -105,6 +106,7 @@ class _Piece(NamedTuple):
     outliers: Outliers
     missing: Counter[str]
     sums: LoadSums | None
+    said: list[str]
 
 
 class _Read(NamedTuple):
@@ -178,10 +180,10 @@ class DecimatedRecord:
         if len(edges) > 2 and edges[-1] - edges[-2] < step // 2:
             # a short piece is joined to the one before: the noise of its readings could not be estimated
             del edges[-2]
-        pieces, stamps, found, missing, sums = zip(*side_by_side(self._piece, pairwise(edges)), strict=True)
+        pieces, stamps, found, missing, sums, said = zip(*side_by_side(self._piece, pairwise(edges)), strict=True)
         joined, whole, outliers = _joined(pieces), np.concatenate(stamps), Outliers.joined(found)
         del pieces
-        joined = self._judged(joined, [one for one in sums if one is not None])
+        joined = self._told(joined, [one for one in sums if one is not None], list(chain.from_iterable(said)))
         self._tell_missing(sum(missing, Counter[str]()), samples=whole.size)
         first = self.decimation.span(begin, end).start
         recording = joined.recording if isinstance(joined, Loads) else joined
@@ -221,11 +223,20 @@ class DecimatedRecord:
             names = ", ".join(name for name, one in missing.items() if one == count)
             warn_quality(OfMissing.readings(self.name, names, count, samples))
 
-    def _judged(self, joined: Given, sums: Sequence[LoadSums]) -> Given:
-        """The part, with doubts in its own numbers."""
+    def _told(self, joined: Given, sums: Sequence[LoadSums], said: Sequence[str]) -> Given:
+        """The part, with doubts in its own numbers; what was said of its pieces is said once, with these too."""
+        of_loads = [text for text in said if isinstance(text, OfLoads) and text.startswith(f"{self.name}: ")]
+        for text in dict.fromkeys(said):
+            if not isinstance(text, OfMissing) and text not in of_loads:
+                warn_quality(text)
         if not isinstance(joined, Loads) or not sums:
             return joined
-        return replace(joined, doubts=LoadSums.joined(sums).doubts(joined.doubts))
+        together = LoadSums.joined(sums)
+        joined = replace(joined, doubts=together.doubts(joined.doubts))
+        if of_loads:
+            for text in together.said(self.name, joined):
+                warn_quality(text)
+        return joined
 
     def _piece(self, ends: tuple[int, int]) -> _Piece:
         """Read and decimate a piece of a part."""
@@ -234,23 +245,24 @@ class DecimatedRecord:
         there = slice(span.start - wanted.start, span.stop - wanted.start)
         with kept_warnings() as said:
             read = self.record.part(wanted.start, wanted.stop)
+            given = self.made_ready(read)
         missing = Counter[str]()
         if any(isinstance(text, OfMissing) for text in said):
             channels = read.recording if isinstance(read, Loads) else read
             missing = +Counter({one.name: int(np.count_nonzero(one.missing[there])) for one in channels})
-        for text in said:
-            if not isinstance(text, OfMissing):
-                warn_quality(text)
-        given = self.made_ready(read)
-        sums = None
-        if isinstance(given, Loads) and isinstance(read, Recording):
-            sums = LoadSums.of(read, given, there)
+        beyond, sums = Counter[str](), None
+        if isinstance(given, Loads):
+            if isinstance(read, Recording):
+                sums = LoadSums.of(read, given, there)
+                beyond = sums.beyond
+            elif given.beyond:
+                beyond += Counter(beyond_range(given.balance, given.native[there]))
         outliers = outliers_of(given, self.components)
         given = self._without_short_gaps(without_outliers(given, outliers, self.components, clipped=True))
         recording = corrected(given.recording if isinstance(given, Loads) else given)
         stamps, outliers = recording.stamps[there], outliers.within(there)
         if not isinstance(given, Loads):
-            return _Piece(self._recording(recording, begin, end), stamps, outliers, missing, sums)
+            return _Piece(self._recording(recording, begin, end), stamps, outliers, missing, sums, said)
         first = self.decimation.before + begin * self.every - wanted.start
         rows = slice(first, first + (end - begin - 1) * self.every + 1, self.every)
         values = self.decimation.decimated(given.values, begin, end)
@@ -263,11 +275,12 @@ class DecimatedRecord:
             native=self.decimation.decimated(given.native, begin, end),
             apart=given.apart if len(given.apart) == 1 else given.apart[rows],
             noise_covariance=given.noise_covariance / self.every,
+            beyond=beyond,
             recording=slow,
             stuck=None,
             clipped=None,
         )
-        return _Piece(felt, stamps, outliers, missing, sums)
+        return _Piece(felt, stamps, outliers, missing, sums, said)
 
     def _without_short_gaps(self, given: Given) -> Given:
         """The readings with short gaps filled, of loads and of the ground's motion; of others all by straight lines.

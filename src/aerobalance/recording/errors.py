@@ -10,7 +10,7 @@ from collections.abc import Iterator, Sequence, ValuesView
 from contextlib import contextmanager
 from contextvars import ContextVar
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final, Self, cast
 
 _PASSED_BY: Final = (str(Path(__file__).parents[1]) + os.sep, contextlib.__file__)
 """Files that a warning is not the place of: those of the package, and what stands between two of them."""
@@ -120,8 +120,27 @@ class DataQualityWarning(UserWarning):
     """Data that can be used but not trusted fully; the message says what it does to the result."""
 
 
-class OfMissing(str):
-    """What is said of missing readings of some samples; who puts these together says it of all of them."""
+class OfSamples(str):
+    """What is said of some samples of a record in numbers; who puts these together says it of all of them.
+
+    Attributes
+    ----------
+    size
+        How much there is of it, such as a share of the samples: of the parts of a record that with the most is told.
+    """
+
+    __slots__ = ("size",)
+    size: float
+
+    def __new__(cls, text: str, size: float = 0.0) -> Self:
+        """Make it of its text, and say how much there is of it."""
+        made = super().__new__(cls, text)
+        made.size = size
+        return made
+
+
+class OfMissing(OfSamples):
+    """What is said of missing readings of some samples."""
 
     __slots__ = ()
 
@@ -130,8 +149,15 @@ class OfMissing(str):
         """Say how many readings of channels of a record are missing in rows that are there, or in none."""
         return cls(
             f"{name}: {count} of {samples} samples of {channels} are missing (empty or NaN); the model bridges them, "
-            "and the uncertainty is larger there"
+            "and the uncertainty is larger there",
+            count / max(samples, 1),
         )
+
+
+class OfLoads(OfSamples):
+    """What is said of the balance loads of some samples."""
+
+    __slots__ = ()
 
 
 _kept: ContextVar[list[str] | None] = ContextVar("kept", default=None)

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Any, Final
+from typing import Any
 
-from aerobalance.recording.errors import kept_warnings, warn_quality
+from aerobalance.recording.errors import OfSamples, kept_warnings, warn_quality
 from aerobalance.recording.parts import LongRecord, Part
-
-_NUMBER: Final = re.compile(r"\d[\d.,]*(?:e[+-]?\d+)?")
+from aerobalance.recording.wording import without_numbers
 
 
 @dataclass(slots=True)
@@ -40,12 +38,15 @@ class PartWarnings:
 
     def add(self, part: Part, text: str) -> None:
         """Note what is to be said of a part."""
-        same = self._said.setdefault(_NUMBER.sub("#", text), [])
+        same = self._said.setdefault(without_numbers(text), [])
         if (part, text) not in same:
             same.append((part, text))
 
     def tell(self) -> None:
-        """Say it all: once what is said of all parts in the same words, the rest with the first part that it is of."""
+        """Say it all: once what is said of all parts in the same words, the rest with a part that it is of.
+
+        That is the part with the most of it where that is known, and else the first.
+        """
         for text in self.sentences():
             warn_quality(text)
 
@@ -53,7 +54,7 @@ class PartWarnings:
         """What there is to say."""
         prefix = f"{self.record.name}: "
         for said in self._said.values():
-            part, text = said[0]
+            part, text = max(said, key=lambda one: one[1].size if isinstance(one[1], OfSamples) else 0.0)
             parts = {one.number for one, _ in said}
             if part.count == 1 or (len(parts) == part.count and len({words for _, words in said}) == 1):
                 yield text
