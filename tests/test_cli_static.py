@@ -12,10 +12,11 @@ import pytest
 
 from aerobalance.app.cli import main
 from aerobalance.balance.matrix import BalanceMatrix
-from aerobalance.io import read
+from aerobalance.io import read, write_recording
 from aerobalance.io.balance_file import read_balance
 from aerobalance.io.mass_file import read_weighing, write_weighing
 from aerobalance.io.schedule import read_schedule, write_balfit_schedule
+from aerobalance.recording.analog_filter import AntiAlias
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import DataQualityWarning, ReadError
 from aerobalance.recording.gravity import Attitudes
@@ -424,8 +425,14 @@ def test_wrong_calls_say_what_is_allowed(here, capsys, arguments, code, message)
     assert not Path("out.csv").exists()
 
 
+@pytest.mark.usefixtures("calibrated")
+@pytest.mark.parametrize("low_pass", [None, AntiAlias("butterworth", 8, 10.0)])
 def test_loads_of_a_long_record_do_not_depend_on_its_parts(
-    calibrated: Path, truth: BalanceMatrix, rng, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    truth: BalanceMatrix,
+    rng,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    low_pass: AntiAlias | None,
 ) -> None:
     count = 12_000
     time = np.arange(count) / 1000
@@ -436,7 +443,10 @@ def test_loads_of_a_long_record_do_not_depend_on_its_parts(
         write(f"{name}.csv", np.arange(500) / 1000, shifted)
     outputs = gauges(truth, direct, rng)
     write("run.csv", time, {key: values + 0.01 * time / time[-1] for key, values in outputs.items()})
-    words = ["loads", "run.csv", "--balance", "balance.json", "--zero", "before.csv", "--zero-after", "after.csv"]
+    record = read("run.csv")
+    behind = {channel.name: replace(channel, filter=low_pass) for channel in record}
+    write_recording("run.h5", replace(record, channels=behind))
+    words = ["loads", "run.h5", "--balance", "balance.json", "--zero", "before.csv", "--zero-after", "after.csv"]
     words += ["--model-on-zero", "off"]
     whole = run(capsys, *words, "-o", "whole.h5")
     monkeypatch.setattr("aerobalance.app.commands.loads.PART", 3000)
@@ -448,12 +458,17 @@ def test_loads_of_a_long_record_do_not_depend_on_its_parts(
         size = np.max(np.abs(values))
         # each part judges the noise of its readings by itself: 4 standard deviations of a deviation of 3000 samples
         tolerance = 4 / np.sqrt(2 * 3000) if channel.name.startswith("u_") else 1e-9
+        if low_pass is not None and not channel.name.startswith("u_"):
+            # a slow filter forgets with the square of time in the end, and nobody knows what was before the record
+            values, again, tolerance = values[500:-500], again[500:-500], 1e-4
         np.testing.assert_allclose(again, values, rtol=0, atol=tolerance * size)
     for name, found in whole["components"].items():
         for key, value in found.items():
             close = 0.1 if key == "noise_of_reading" else 1e-2 if key == "u_calibration_rms" else 1e-6
             assert parts["components"][name][key] == (
-                value if isinstance(value, str) else pytest.approx(value, rel=close, abs=1e-6)
+                value
+                if isinstance(value, str)
+                else pytest.approx(value, rel=close, abs=1e-6 if low_pass is None else 1.0)
             ), (name, key)
     assert parts["beyond_calibrated_range"] == whole["beyond_calibrated_range"]
     assert parts["missing"] == whole["missing"] == 0

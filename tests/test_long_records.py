@@ -9,17 +9,20 @@ from scipy.fft import next_fast_len
 from scipy.linalg import solve_continuous_are
 
 from aerobalance.dynamics.independent import dynamics_of
+from aerobalance.estimation.checks.outliers import without_wild_samples
 from aerobalance.estimation.force import ForceWork, estimate_force
 from aerobalance.estimation.force_collector import SummaryOfParts
 from aerobalance.estimation.force_parts import JOINTS, Division
 from aerobalance.estimation.force_smoother import SmootherResult
 from aerobalance.estimation.forces import ForceSettings
 from aerobalance.estimation.independent_record import IndependentRecord
+from aerobalance.recording.analog_filter import AntiAlias
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.errors import DataQualityWarning, FitError, OfLoads, OfMissing
 from aerobalance.recording.part_warnings import PartWarnings
 from aerobalance.recording.parts import Part, parts_of
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.sensors import corrected
 from aerobalance.uncertainty.budget import component_budget, scalars, spectrum
 from aerobalance.uncertainty.mean_loads import mean_loads
 from aerobalance.uncertainty.monte_carlo import monte_carlo
@@ -183,6 +186,50 @@ def test_parts_give_what_the_whole_gives(rng):
     for part in SHORT.parts(record, dynamics_of(T128))[1:]:
         assert rms(apart[part.first - 512 : part.first + 512]) < 0.15
     assert rms(found.uncertainty) == pytest.approx(rms(whole.uncertainty), rel=0.05)
+
+
+def test_a_slow_filter_is_undone_across_the_joints_of_parts(rng, monkeypatch):
+    """Undone on each part alone, half a margin beside its ends, it left the weight 0.5 N off where they meet."""
+    record = run(rng)
+    low_pass = AntiAlias("bessel", 4, 1.0)
+    pitch = 0.03 + 0.02 * np.sin(2 * np.pi * 4 * np.arange(record.samples) / record.samples + 0.3)  # 0.46 Hz
+    response = low_pass.response(np.fft.rfftfreq(pitch.size, 1 / RATE))
+    read = np.fft.irfft(np.fft.rfft(pitch) * response, pitch.size)
+    tilt = Channel("pitch", read, "rad", filter=low_pass)
+    work = divided(replace(record, channels={**record.channels, "pitch": tilt}))
+    assert work.working.every == 1
+    taken = []
+
+    class EnoughError(Exception):
+        """What the force would be worked out from is known."""
+
+    def stop(given, *_, **_settings):
+        taken.append(given)
+        raise EnoughError
+
+    monkeypatch.setattr("aerobalance.estimation.force.force_record", stop)
+    first, second = work.division.parts(record, dynamics_of(T128))
+    for part in (first, second):
+        with pytest.raises(EnoughError):
+            work.force_of(part)
+        found = corrected(taken[-1]).channel("pitch").values
+        assert found.size == part.end - part.begin
+        apart = 9.8 * T128.mass * np.abs(found - pitch[part.begin : part.end])
+        near = slice(first.stop - part.begin - part.margin // 2, first.stop - part.begin + part.margin // 2)
+        assert apart[near].max() < 0.05  # N
+
+
+def test_a_part_tells_of_its_own_readings_alone(rng):
+    """Those beside it, which its filters are undone with, are another part's to tell of; they are left out as well."""
+    record = run(rng, count=3000)
+    load = record.channel("AF").values.copy()
+    load[1000] += 900.0
+    record = replace(record, channels={"AF": replace(record.channel("AF"), values=load)})
+    for own, told in ((None, 1), (slice(500, 2000), 1), (slice(1200, 2500), 0)):
+        clean, doubts = without_wild_samples(record, ["AF"], own=own)
+        assert np.isnan(clean.channel("AF").values[1000])
+        assert len(doubts) == told
+        assert all("at 0.625 s" in str(doubt) for doubt in doubts)
 
 
 @pytest.mark.parametrize("soft", [True, False])

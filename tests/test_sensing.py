@@ -14,7 +14,7 @@ from aerobalance.recording.channel import QUANTITIES, Channel, CrossAxis
 from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.errors import DataQualityWarning, FitError
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.sensors import LEAST_GAIN, corrected, late_samples
+from aerobalance.recording.sensors import LEAST_GAIN, corrected, late_samples, undone_with
 from helpers.cable_cut import T128
 
 RATE = 1600.0
@@ -70,6 +70,17 @@ def test_a_sine_through_the_filter_comes_back(kind, corner):
     assert abs(response) >= LEAST_GAIN
     np.testing.assert_allclose(found.values[INNER], sine(1.0, phase=-np.angle(response))[INNER], atol=CLOSE)
     assert found.filter is None
+
+
+@pytest.mark.parametrize("order", [1, 2, 8])
+def test_samples_that_a_filter_is_undone_with(order):
+    """Poles of a Butterworth low-pass lie on a circle, the slowest at sin(pi / 2n) of it from the imaginary axis."""
+    slow, fast = AntiAlias("butterworth", order, 5.0), AntiAlias("bessel", 4, 200.0)
+    decay = 2 * np.pi * 5.0 * np.sin(np.pi / (2 * order))
+    assert slow.decay == pytest.approx(decay, rel=1e-9)
+    both = record(ground_acceleration=(np.zeros(100), {"filter": slow}), pitch=(np.zeros(100), {"filter": fast}))
+    assert undone_with(both) == pytest.approx(36.04 / decay * both.rate, abs=2, rel=1e-3)
+    assert undone_with(record(ground_acceleration=(np.zeros(100), {}))) == 0
 
 
 def test_where_a_filter_leaves_little_only_its_phase_is_undone():

@@ -19,6 +19,7 @@ from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.zeros import GaugeZero
 from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.dynamics.modal import Mode
+from aerobalance.estimation import working_record
 from aerobalance.estimation.checks.colored_noise import LEFT_OPEN
 from aerobalance.estimation.force import ForceWork
 from aerobalance.estimation.force_parts import DIVISION, Division
@@ -28,10 +29,12 @@ from aerobalance.estimation.record_look import SETTINGS as LOOK
 from aerobalance.estimation.working_record import AT_ONCE, DecimatedRecord
 from aerobalance.io import read, write_recording
 from aerobalance.io.dynamics_file import write_dynamics
+from aerobalance.recording.analog_filter import AntiAlias
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.decimation import Decimation
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.sensors import corrected
 from aerobalance.simulation.calibration_stand import CAPACITIES, random_balance
 from aerobalance.uncertainty.budget import component_budget, scalars, spectrum
 from aerobalance.uncertainty.mean_loads import mean_loads
@@ -263,6 +266,78 @@ def test_what_is_said_of_loads_is_said_once_with_numbers_of_the_part(rng, short_
     of_loads, nothing = said_of(lambda: bridges.slow(whole))  # they were told of when they were worked out
     assert of_loads.beyond == whole.beyond
     assert not nothing
+
+
+def swings(*cycles: int) -> np.ndarray:
+    """Sines of whole cycles in the record, each of one, shape (n,) [1]."""
+    return sum(np.sin(2 * np.pi * one * np.arange(SAMPLES) / SAMPLES + one) for one in cycles)
+
+
+def behind(low_pass: AntiAlias, values: np.ndarray) -> np.ndarray:
+    """What is read of a signal that recurs with the record behind a filter, shape (n,)."""
+    response = low_pass.response(np.fft.rfftfreq(values.size, 1 / RATE))
+    return np.fft.irfft(np.fft.rfft(values) * response, values.size)
+
+
+def in_pieces(slow: DecimatedRecord, name: str, monkeypatch: pytest.MonkeyPatch) -> np.ndarray:
+    """A channel of a record on a slower clock that is read in three pieces or in two, shape (m,)."""
+    monkeypatch.setattr(working_record, "AT_ONCE", 1 << 15)
+    asked = []
+    piece = DecimatedRecord._piece
+    monkeypatch.setattr(DecimatedRecord, "_piece", lambda self, ends: asked.append(ends) or piece(self, ends))
+    part = slow.part(0, slow.samples)
+    assert len(asked) > 1
+    return (part.recording if isinstance(part, Loads) else part).channel(name).values
+
+
+@pytest.mark.parametrize(
+    ("channel", "low_pass"),
+    [
+        ("pitch", AntiAlias("bessel", 4, 3.0)),
+        ("pitch", AntiAlias("bessel", 4, 1.5)),  # which remembers longer than a piece
+        ("pitch", AntiAlias("butterworth", 4, 10.0)),
+        ("ground_acceleration", AntiAlias("butterworth", 8, 50.0)),
+    ],
+)
+def test_a_slow_filter_of_a_sensor_is_undone_across_the_joints_of_pieces(channel, low_pass, rng, monkeypatch) -> None:
+    """Undone on each piece alone, it left the weight 1 to 16 N off where pieces met."""
+    _, load = force_and_load(rng, steps=())
+    cycles = [round(share * low_pass.corner * SAMPLES / RATE) for share in (0.25, 0.5)]
+    size, unit, force = (0.02, "rad", T128.mass * 9.8) if channel == "pitch" else (0.1, "m/s^2", T128.mass)
+    read = behind(low_pass, 0.03 + size * swings(*cycles))
+    plain = recording(load)
+    record = replace(plain, channels={**plain.channels, channel: Channel(channel, read, unit, filter=low_pass)})
+    slow = work(record).working
+    whole = slow.decimation.decimated(corrected(record).channel(channel).values[:, None], 0, slow.samples)[:, 0]
+    apart = np.abs(in_pieces(slow, channel, monkeypatch) - whole)
+    # kinks of the factor that makes up for the magnitude forget with the square of time: a few ten-thousandths
+    assert apart.max() < 1e-3 * size
+    assert force * apart.max() < 0.03
+
+
+def test_a_slow_filter_of_gauge_outputs_is_undone_across_the_joints_of_pieces(rng, monkeypatch) -> None:
+    """It is undone before loads are made of the outputs, and once."""
+    balance = replace(random_balance(seed_from(rng)), natural_zero=None)
+    low_pass = AntiAlias("butterworth", 8, 50.0)
+    native = np.zeros((SAMPLES, len(balance.components)))
+    native[:, balance.components.index("AF")] = 100.0 * swings(20, 130)
+    outputs = balance.outputs(native)  # mV/V
+    names = [f"r{gauge}" for gauge in ("N1", "N2", "S1", "S2", "RM", "AF")]
+    channels = {
+        name: Channel(name, behind(low_pass, one) + rng.normal(0, 1e-5, SAMPLES), "mV/V", filter=low_pass)
+        for name, one in zip(names, outputs.T, strict=True)
+    }
+    run = recording(np.zeros(SAMPLES), pitch=np.zeros(SAMPLES))
+    bridges = replace(run, channels={**channels, "pitch": run.channel("pitch")})
+    still = GaugeZero(np.zeros(6), np.zeros(6), "known", np.zeros(6), model_on=False)
+
+    def made_ready(given: Recording | Loads) -> Loads:
+        return replace(loads_of_outputs(corrected(given), balance, zero=still), ready=True)
+
+    slow = ForceWork(bridges, dynamics_of(T128), made_ready=made_ready, division=SHORT).working
+    whole = slow.decimation.decimated(made_ready(bridges).recording.channel("AF").values[:, None], 0, slow.samples)
+    apart = np.abs(in_pieces(slow, "AF", monkeypatch) - whole[:, 0])
+    assert apart.max() < 0.1  # of 200 N, and 2.3 N off where pieces met
 
 
 @pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")

@@ -39,7 +39,13 @@ from aerobalance.estimation.record_clock import RecordClock
 from aerobalance.estimation.spectra.line_noise import Hum
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.estimation.working_clock import slower_clock
-from aerobalance.estimation.working_record import DecimatedRecord, MadeReady, RecordAsItIs
+from aerobalance.estimation.working_record import (
+    DecimatedRecord,
+    MadeReady,
+    RecordAsItIs,
+    beside_pieces,
+    unfiltered_part,
+)
 from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, loads_hint
@@ -152,8 +158,13 @@ class ForceWork:
     def working(self) -> RecordAsItIs | DecimatedRecord:
         """The record on the clock that its forces are worked out on."""
         if not self._working:
-            self._working.append(self._on_slower_clock() or RecordAsItIs(self.record, self.made_ready))
+            self._working.append(self._on_slower_clock() or self._as_it_is())
         return self._working[0]
+
+    def _as_it_is(self) -> RecordAsItIs:
+        """The record on its own clock; one that is worked out at once has nothing beside it."""
+        divided = self.record.samples > self.division.length(self.dynamics)
+        return RecordAsItIs(self.record, self.made_ready, beside_pieces(self.record) if divided else 0)
 
     def _on_slower_clock(self) -> DecimatedRecord | None:
         """The record on a slower clock, where it is long or has many gaps, and the method can do with it."""
@@ -202,10 +213,10 @@ class ForceWork:
         for part in PROGRESS.each(parts, "part"):
             force: Force | None = None
             with told.of(part):
-                given = record.part(part.begin, part.end)
+                given, own = record.part(part.begin, part.end), record.own(part.begin, part.end)
                 names = _present(given, self.dynamics)
-                if part.count == 1 or _has_readings(given, names):
-                    force = self._undivided(given, whole=part.count == 1 and clock is None)
+                if part.count == 1 or _has_readings(_own_of(given, own), names):
+                    force = self._undivided(given, own, whole=part.count == 1 and clock is None)
             del given  # the next part needs the memory
             if joiner is None:
                 joiner = Joiner(record, tuple(force or names), self.division, told)
@@ -256,15 +267,22 @@ class ForceWork:
     def force_of(self, part: Part) -> Force:
         """Forces of one part with all that their uncertainty consists of; what is to be said of it was said before."""
         with kept_warnings():
-            return self._undivided(self.working.part(part.begin, part.end), whole=True)
+            own = self.working.own(part.begin, part.end)
+            return self._undivided(self.working.part(part.begin, part.end), own, whole=True)
 
-    def _undivided(self, given: Recording | Loads, *, whole: bool) -> Force:
+    def _undivided(self, given: Recording | Loads, own: slice | None, *, whole: bool) -> Force:
         """Forces of a part; wild samples of a record on a slower clock were looked for on its own."""
         slower = self.working.every > 1
         settings = replace(self.settings, keep_outliers=True) if slower else self.settings
         with one_after_the_other() if given.samples < FEWEST_FOR_THREADS else nullcontext():
             return _undivided(
-                given, self.dynamics, settings, noise=self.noise, whole=whole, known_before=self.working.doubts
+                given,
+                self.dynamics,
+                settings,
+                noise=self.noise,
+                whole=whole,
+                known_before=self.working.doubts,
+                wanted=own,
             )
 
 
@@ -272,6 +290,11 @@ def _present(given: Recording | Loads, dynamics: BalanceDynamics) -> tuple[str, 
     """Components of the dynamics that a run has."""
     recording = given.recording if isinstance(given, Loads) else given
     return tuple(name for name in dynamics.components if name in recording)
+
+
+def _own_of(given: Recording | Loads, own: slice | None) -> Recording | Loads:
+    """Those samples of a run that a part has for its own; all where none are named."""
+    return given if own is None else given.part(own.start, own.stop)
 
 
 def _has_readings(given: Recording | Loads, components: Sequence[str]) -> bool:
@@ -289,6 +312,7 @@ def _undivided(
     noise: Recording | Loads | Mapping[str, NoiseSpectrum] | None,
     whole: bool,
     known_before: tuple[Doubt, ...] = (),
+    wanted: slice | None = None,
 ) -> Force:
     """Forces of a run that is worked out at once.
 
@@ -302,19 +326,24 @@ def _undivided(
         Whether all contributions to the uncertainty are kept as they are, and not as few numbers as show.
     known_before
         Doubts about readings that were found before it was put on a slower clock.
+    wanted
+        Samples of the run whose force it is; filters of its channels are undone with the others beside them as well.
+        All where left out.
     """
     if isinstance(given, Recording) and given.from_outputs:
         warn_quality(
             f"{given.name}: the loads were worked out from gauge outputs, and the errors of the balance matrix are "
             "not in the uncertainty: give the loads as reduce_outputs returns them, not their recording alone"
         )
-    seen = impossible_channels(given, model)
+    seen = impossible_channels(_own_of(given, wanted), model)
     dead = {doubt.component for doubt in seen if doubt.kind == "stuck channel"}
     told = given.doubts if isinstance(given, Loads) else ()
     if not settings.keep_outliers:
-        given, wild = without_wild_samples(given, model.components)
+        given, wild = without_wild_samples(given, model.components, own=wanted)
         seen += wild
     seen += known_before
+    if wanted is not None:
+        given = unfiltered_part(given, wanted)
     record = force_record(given, model, **settings.earth)
     if isinstance(noise, Recording | Loads):
         noise = noise_spectra(noise, record, **settings.earth)

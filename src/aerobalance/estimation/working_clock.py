@@ -29,6 +29,7 @@ from aerobalance.recording.decimation import ROLL_OFF, Decimation
 from aerobalance.recording.errors import FitError, kept_warnings
 from aerobalance.recording.noise import channel_noise
 from aerobalance.recording.parts import LongRecord
+from aerobalance.recording.sensors import undone_with
 from aerobalance.recording.side_by_side import side_by_side
 
 
@@ -84,7 +85,10 @@ def slower_clock(
     try:
         with kept_warnings():  # given when the forces are estimated
             begins, length = _pieces(record.samples)
-            noise = _noise_of_gauges(record.part(0, length))
+            first = record.part(0, length)
+            noise = _noise_of_gauges(first)
+            beside = undone_with(first.recording if isinstance(first, Loads) else first)
+            del first
 
             def looked(begin: int) -> Piece:
                 given = made_ready(_with_noise(record.part(begin, begin + length), noise))
@@ -96,7 +100,7 @@ def slower_clock(
     for factor in fitting:
         if _band(record.rate, factor) >= SETTINGS.beyond * look.highest and look.gaps_allow(factor):
             return DecimatedRecord(
-                record, made_ready, Decimation(factor, record.samples), dynamics.components, look.shown
+                record, made_ready, Decimation(factor, record.samples), dynamics.components, look.shown, beside
             )
     return None
 

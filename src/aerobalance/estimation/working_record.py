@@ -22,7 +22,7 @@ from aerobalance.recording.errors import OfLoads, OfMissing, kept_warnings, warn
 from aerobalance.recording.parts import Extent, LongRecord
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import interpolate_gaps_linearly
-from aerobalance.recording.sensors import corrected
+from aerobalance.recording.sensors import corrected, undone_with
 from aerobalance.recording.short_gaps import short_gaps_filled
 from aerobalance.recording.side_by_side import side_by_side
 
@@ -32,6 +32,20 @@ MadeReady = Callable[[Given], Given]
 
 AT_ONCE: Final = 1 << 16
 """Samples of a record that are read, examined or decimated together."""
+
+
+def beside_pieces(record: LongRecord[Given]) -> int:
+    """Samples beside a piece of a record, on either side, that the filters of its channels are undone with."""
+    with kept_warnings():  # given when the piece is read again
+        given = record.part(0, min(AT_ONCE, record.samples))
+    return undone_with(given.recording if isinstance(given, Loads) else given)
+
+
+def unfiltered_part(given: Given, own: slice) -> Given:
+    """Samples of a run, what filters did to its channels undone with those beside them."""
+    if isinstance(given, Loads):
+        return replace(given, recording=corrected(given.recording)).part(own.start, own.stop)
+    return corrected(given).part(own.start, own.stop)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,10 +58,14 @@ class RecordAsItIs:
         The record.
     made_ready
         Converts samples that are gauge outputs to balance loads.
+    beside
+        Samples on either side of a part that the filters of its channels are undone with, and that are read with it
+        (`aerobalance.recording.sensors.undone_with`): what is in memory is larger by as many.
     """
 
     record: LongRecord[Given]
     made_ready: MadeReady
+    beside: int = 0
 
     @property
     def name(self) -> str:
@@ -90,8 +108,18 @@ class RecordAsItIs:
         return ()
 
     def part(self, begin: int, end: int) -> Given:
-        """Samples `begin` to `end` (excluded), with balance loads [N, N*m]."""
-        return self.made_ready(self.record.part(begin, end))
+        """Samples `begin` to `end` (excluded) and those `beside` them, with balance loads [N, N*m]."""
+        wide, own = _wider(slice(begin, end), self.beside, self.samples), self.own(begin, end)
+        if own is None:
+            return self.made_ready(self.record.part(begin, end))
+        read, missing = _read(self.record, wide, own)
+        _tell_missing(self.name, missing, samples=end - begin)
+        return self.made_ready(read)
+
+    def own(self, begin: int, end: int) -> slice | None:
+        """Which samples of what `part` returns are those from `begin` to `end`; None where all are."""
+        wide = _wider(slice(begin, end), self.beside, self.samples)
+        return None if wide == slice(begin, end) else slice(begin - wide.start, end - wide.start)
 
 
 class _Piece(NamedTuple):
@@ -133,6 +161,10 @@ class DecimatedRecord:
         Components whose forces are estimated.
     shown
         Power of the loads at each natural frequency over that of the noise there, at least, all along the record [1].
+    beside
+        Samples of the record on either side of a piece that the filters of its channels are undone with, and that are
+        read with it (`aerobalance.recording.sensors.undone_with`). A piece is no shorter than that, so that no sample
+        is read more than three times, and what is in memory grows with the slowest filter.
     """
 
     record: LongRecord[Given]
@@ -140,6 +172,7 @@ class DecimatedRecord:
     decimation: Decimation
     components: tuple[str, ...]
     shown: tuple[float, ...] = ()
+    beside: int = 0
     # of the part read last; a list, as the class is frozen
     _read: list[_Read] = field(init=False, default_factory=list)
 
@@ -175,7 +208,7 @@ class DecimatedRecord:
 
     def part(self, begin: int, end: int) -> Given:
         """Samples `begin` to `end` (excluded) of the slower clock, with balance loads [N, N*m]."""
-        step = max(AT_ONCE // self.every, 1)
+        step = max(max(AT_ONCE, self.beside) // self.every, 1)
         edges = [*range(begin, end, step), end]
         if len(edges) > 2 and edges[-1] - edges[-2] < step // 2:
             # a short piece is joined to the one before: the noise of its readings could not be estimated
@@ -184,7 +217,7 @@ class DecimatedRecord:
         joined, whole, outliers = _joined(pieces), np.concatenate(stamps), Outliers.joined(found)
         del pieces
         joined = self._told(joined, [one for one in sums if one is not None], list(chain.from_iterable(said)))
-        self._tell_missing(sum(missing, Counter[str]()), samples=whole.size)
+        _tell_missing(self.name, sum(missing, Counter[str]()), samples=whole.size)
         first = self.decimation.span(begin, end).start
         recording = joined.recording if isinstance(joined, Loads) else joined
         clock = {name: replace(one, values=np.zeros(0)) for name, one in recording.channels.items()}
@@ -201,6 +234,10 @@ class DecimatedRecord:
         self._read[:] = [_Read(first, fast, outliers.doubts(fast, names))]
         return joined
 
+    def own(self, _begin: int, _end: int) -> None:
+        """All samples of what `part` returns are those that it was asked for."""
+        return
+
     @property
     def doubts(self) -> tuple[Doubt, ...]:
         """Doubts about the wild, stuck and clipped samples of the part that `part` returned last."""
@@ -216,12 +253,6 @@ class DecimatedRecord:
         """
         ((begin, recording, _),) = self._read
         return recording, slice(first - begin, last - begin)
-
-    def _tell_missing(self, missing: Counter[str], *, samples: int) -> None:
-        """Say once of a part what was said of its pieces: how many readings of which channels are missing."""
-        for count in dict.fromkeys(missing.values()):
-            names = ", ".join(name for name, one in missing.items() if one == count)
-            warn_quality(OfMissing.readings(self.name, names, count, samples))
 
     def _told(self, joined: Given, sums: Sequence[LoadSums], said: Sequence[str]) -> Given:
         """The part, with doubts in its own numbers; what was said of its pieces is said once, with these too."""
@@ -242,14 +273,11 @@ class DecimatedRecord:
         """Read and decimate a piece of a part."""
         begin, end = ends
         wanted, span = self.decimation.wanted(begin, end), self.decimation.span(begin, end)
-        there = slice(span.start - wanted.start, span.stop - wanted.start)
+        wide = _wider(wanted, self.beside, self.record.samples)
+        there = slice(span.start - wide.start, span.stop - wide.start)
         with kept_warnings() as said:
-            read = self.record.part(wanted.start, wanted.stop)
+            read, missing = _read(self.record, wide, there)
             given = self.made_ready(read)
-        missing = Counter[str]()
-        if any(isinstance(text, OfMissing) for text in said):
-            channels = read.recording if isinstance(read, Loads) else read
-            missing = +Counter({one.name: int(np.count_nonzero(one.missing[there])) for one in channels})
         beyond, sums = Counter[str](), None
         if isinstance(given, Loads):
             if isinstance(read, Recording):
@@ -259,15 +287,18 @@ class DecimatedRecord:
                 beyond += Counter(beyond_range(given.balance, given.native[there]))
         outliers = outliers_of(given, self.components)
         given = self._without_short_gaps(without_outliers(given, outliers, self.components, clipped=True))
-        recording = corrected(given.recording if isinstance(given, Loads) else given)
-        stamps, outliers = recording.stamps[there], outliers.within(there)
+        stated = given.recording if isinstance(given, Loads) else given
+        undone, own = corrected(stated), slice(wanted.start - wide.start, wanted.stop - wide.start)
+        recording = undone.part(own.start, own.stop)
+        stamps, outliers = recording.stamps[there.start - own.start : there.stop - own.start], outliers.within(there)
         if not isinstance(given, Loads):
             return _Piece(self._recording(recording, begin, end), stamps, outliers, missing, sums, said)
+        given = given.part(own.start, own.stop)
         first = self.decimation.before + begin * self.every - wanted.start
         rows = slice(first, first + (end - begin - 1) * self.every + 1, self.every)
         values = self.decimation.decimated(given.values, begin, end)
         # the loads are channels too, unless a filter that they state was undone
-        known = zip(given.components, values.T, strict=True) if recording is given.recording else ()
+        known = zip(given.components, values.T, strict=True) if undone is stated else ()
         slow = self._recording(recording, begin, end, known=dict(known))
         felt = replace(
             given,
@@ -334,6 +365,32 @@ class DecimatedRecord:
         values = self.decimation.decimated(channel.values[:, None], begin, end)[:, 0] if known is None else known
         noise = None if channel.noise is None else channel.noise / np.sqrt(self.every)
         return replace(channel, values=values, noise=noise)
+
+
+def _wider(part: slice, beside: int, samples: int) -> slice:
+    """A part of a record of so many samples with some beside it, as far as they are there."""
+    return slice(max(part.start - beside, 0), min(part.stop + beside, samples))
+
+
+def _read(record: LongRecord[Given], wanted: slice, there: slice) -> tuple[Given, Counter[str]]:
+    """Samples of a record, and how many readings of each channel lack in a slice of them, if it says that some do."""
+    with kept_warnings() as said:
+        read = record.part(wanted.start, wanted.stop)
+    missing = Counter[str]()
+    if any(isinstance(text, OfMissing) for text in said):
+        channels = read.recording if isinstance(read, Loads) else read
+        missing = +Counter({one.name: int(np.count_nonzero(one.missing[there])) for one in channels})
+    for text in said:
+        if not isinstance(text, OfMissing):
+            warn_quality(text)
+    return read, missing
+
+
+def _tell_missing(name: str, missing: Counter[str], *, samples: int) -> None:
+    """Say once of a part of a record how many readings of which channels are missing."""
+    for count in dict.fromkeys(missing.values()):
+        channels = ", ".join(channel for channel, one in missing.items() if one == count)
+        warn_quality(OfMissing.readings(name, channels, count, samples))
 
 
 def _with_straight_lines(values: Array) -> Array:

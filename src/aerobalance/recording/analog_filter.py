@@ -42,15 +42,26 @@ class AntiAlias:
 
     def response(self, frequency: ArrayLike) -> NDArray[np.complex128]:
         """Reading over signal at frequencies [Hz]; its phase is negative, the reading is late."""
+        # poles over the corner: of an order of 24 their product in rad/s would leave the range of numbers
+        poles, gain = self._poles_and_gain()
+        s = 1j * np.asarray(frequency, dtype=np.float64) / self.corner
+        return np.asarray(gain / np.prod([s - pole for pole in poles], axis=0), dtype=np.complex128)
+
+    @property
+    def decay(self) -> float:
+        """Rate at which the slowest part of its response to a blow decays, that of its slowest pole [1/s]."""
+        poles, _ = self._poles_and_gain()
+        return float(2 * np.pi * self.corner * np.min(-poles.real))
+
+    def _poles_and_gain(self) -> tuple[NDArray[np.complex128], float]:
+        """Poles over the angular frequency of the corner, shape (order,) [1], and the gain that goes with them."""
         from scipy.signal import bessel, butter  # noqa: PLC0415 - takes a second, and few recordings state a filter
 
-        # poles over the corner: of an order of 24 their product in rad/s would leave the range of numbers
         if self.kind == "butterworth":
             _, poles, gain = butter(self.order, 1.0, analog=True, output="zpk")
         else:
             _, poles, gain = bessel(self.order, 1.0, analog=True, output="zpk", norm="mag")
-        s = 1j * np.asarray(frequency, dtype=np.float64) / self.corner
-        return np.asarray(gain / np.prod([s - pole for pole in poles], axis=0), dtype=np.complex128)
+        return np.asarray(poles, dtype=np.complex128), float(gain)
 
     def __str__(self) -> str:
         return f"{self.kind} low-pass of order {self.order} at {self.corner:g} Hz"

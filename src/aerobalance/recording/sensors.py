@@ -153,6 +153,22 @@ def late_samples(low_pass: AntiAlias, rate: float) -> int:
     return int(np.ceil(2 * late * rate))
 
 
+def undone_with(recording: Recording) -> int:
+    """Samples on either side of one that its filters are undone with; 0 where no channel states a filter.
+
+    A piece of a record whose filters are undone is off by what lies beyond its ends as far as that, so it is read
+    wider by as many and cut afterwards. What is left then is that the factor which makes up for the magnitude has
+    kinks beside the corner, for which the response falls with the square of time alone: less than a ten-thousandth of
+    changes that are slow beside the corner, and some thousandths of what a signal has there.
+    """
+    decays = [one.filter.decay for one in recording if one.filter is not None]
+    # The phase of H is undone by conj(H) / |H| = sqrt(H(-s) / H(s)) at s = i w: all of its branch points lie at the
+    # poles of H and at their mirror images, so its response falls as exp(-a |t|) before and after the blow, a the
+    # distance of the nearest one from the imaginary axis. It has fallen to the rounding e of numbers at ln(1 / e) / a.
+    memory = -float(np.log(np.finfo(np.float64).eps)) / min(decays) if decays else 0.0
+    return int(np.ceil(memory * recording.rate))
+
+
 def filtered(values: Array, gain: Transfer, *, rate: float, level_over: int = 1) -> Array:
     """Multiply the spectrum of a record by a gain, the record continued at its ends as in `divided`.
 

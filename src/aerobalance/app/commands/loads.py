@@ -25,6 +25,7 @@ from aerobalance.balance.load_checks import beyond_range
 from aerobalance.balance.load_formats import Form
 from aerobalance.balance.loads import Loads
 from aerobalance.dynamics.balance_dynamics import BalanceDynamics
+from aerobalance.estimation.working_record import beside_pieces
 from aerobalance.io import check_output
 from aerobalance.io.balance_file import read_matrix, write_balance
 from aerobalance.io.balfit_matrix import write_balfit_matrix
@@ -43,7 +44,7 @@ PART: Final = 1 << 16
 """Samples of a recording whose loads are worked out at once, 1.5 kB each for six components."""
 
 MARGIN: Final = 1 << 12
-"""Samples beside them that what sensors' filters do is undone with."""
+"""Samples beside them that what sensors do is undone with, at least; a filter that remembers longer has more."""
 
 
 def convert_matrix(path: Path, out: Path) -> Result:
@@ -111,12 +112,15 @@ def loads(
     found = LoadsSummary()
     with collected_warnings() as collected, opened(path, channel_map) as record:
         reduce = files.reduction(form=form, channel_map=channel_map)
-        parts = parts_of(record.samples, length=PART, margin=MARGIN)
+        parts, beside = parts_of(record.samples, length=PART, margin=MARGIN), beside_pieces(record)
         told = PartWarnings(record)
         with writing(out, samples=record.samples, epoch=record.epoch) as append:
             for part in PROGRESS.each(parts, "part"):
                 with told.of(part):
-                    recording = corrected(record.part(part.begin, part.end))
+                    begin, end = max(part.begin - beside, 0), min(part.end + beside, record.samples)
+                    wide = corrected(record.part(begin, end))
+                    recording = wide.part(part.begin - begin, part.end - begin)
+                    del wide
                     felt = reduce(recording)
                 own = slice(part.first - part.begin, part.stop - part.begin)
                 append(load_columns(out, recording, own, felt))

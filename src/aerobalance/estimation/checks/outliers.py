@@ -157,7 +157,7 @@ _TOLD_OF_BRIDGES: Final = {
 
 
 def without_wild_samples(
-    given: Recording | Loads, components: Sequence[str]
+    given: Recording | Loads, components: Sequence[str], *, own: slice | None = None
 ) -> tuple[Recording | Loads, tuple[Doubt, ...]]:
     """Return a run without its wild and stuck samples, and the doubts about wild, stuck and clipped ones.
 
@@ -167,6 +167,8 @@ def without_wild_samples(
         The run.
     components
         Components whose loads are examined, beside the channels of the ground's motion.
+    own
+        Samples of the run that doubts are about; all where left out.
 
     Raises
     ------
@@ -176,7 +178,10 @@ def without_wild_samples(
     found = outliers_of(given, components)
     recording = given.recording if isinstance(given, Loads) else given
     present = [name for name in components if name in recording]
-    return without_outliers(given, found, components), found.doubts(recording, present)
+    clean = without_outliers(given, found, components)
+    if own is not None:
+        found, recording = found.within(own), recording.part(own.start, own.stop)
+    return clean, found.doubts(recording, present)
 
 
 def outliers_of(given: Recording | Loads, components: Sequence[str]) -> Outliers:
