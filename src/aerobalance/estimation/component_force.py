@@ -252,8 +252,8 @@ class Fitted:
             changed = other.reading(hum=reading.hum, tones=reading.tones, drift=reading.drift)
             return LinearSmoother.of(changed, learned=learned, steps=steps).run(changed.filled[:, None])[:, 0]
 
-        def moved(item: SystematicParameter) -> Array:
-            return -through(record.felt_under(item)[:, None])[:, 0]
+        def moved(items: Sequence[SystematicParameter]) -> Array:
+            return -through(np.column_stack([record.felt_under(item) for item in items]))
 
         noise = learned.noise if record.shared is None else record.shared.before
         errors: list[Contribution] = [

@@ -66,7 +66,7 @@ def central_differences(record: ComponentRecord) -> ComponentForce:
         Noise("noise of the ground motion", record.motion_source, np.full(load.size, record.input_noise), np.ones(1)),
         Noise("ends of the record", d.component, ends, np.ones(1)),
         record.parameter_errors(lambda: values, lambda other: central_differences(other).values, through),
-        *record.motion_errors(record.as_force),
+        *record.motion_errors(lambda items: np.column_stack([record.as_force(item) for item in items])),
         *record.reading_errors(values, through),
     ]
     bandwidth = DIFFERENCE_BANDWIDTH / h
@@ -168,7 +168,7 @@ def band_limited(record: ComponentRecord, bandwidth: float) -> ComponentForce:
         Noise("noise of the ground motion", record.motion_source, of_ground, passed / np.mean(passed)),
         Noise("ends of the record", d.component, np.hypot(ends, ground_ends), np.ones(1)),
         record.parameter_errors(lambda: values, lambda other: band_limited(other, bandwidth).values, through),
-        *record.motion_errors(record.as_force),
+        *record.motion_errors(lambda items: np.column_stack([record.as_force(item) for item in items])),
         *record.reading_errors(values, through),
     ]
     return record.finish(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -55,6 +55,9 @@ PARAMETERS_NAME: Final = "mass, stiffness, damping, delay"
 PROBE: Final = 0.1
 """Change of a parameter, in standard uncertainties, over which the estimator's slope is taken."""
 
+
+AT_ONCE: Final = 4
+"""Unknowns of the ground's motion whose effect is worked out together, as each takes room."""
 
 RINGING: Final = 1e-3
 """Size of an error of the ground's motion over its largest, up to which a delay by parts of a sample has spread it."""
@@ -226,8 +229,8 @@ class ComponentRecord(ABC):
     def reading_errors(self, values: Array, through: Through) -> list[Contribution]:
         """Return the errors of the force from gain and zero of the load's channel [N]."""
 
-    def motion_errors(self, slope: Callable[[SystematicParameter], Array]) -> list[Contribution]:
-        """What holds along the ground's motion and is not known, by what a unit of it does to the force, (n,)."""
+    def motion_errors(self, slopes: Callable[[Sequence[SystematicParameter]], Array]) -> list[Contribution]:
+        """What holds along the ground's motion and is not known, by what a unit of each does to the force, (n, k)."""
         groups: dict[tuple[str, str, bool], list[SystematicParameter]] = {}
         for item in self.unknowns:  # a gap hides several numbers under one name
             groups.setdefault((item.name, item.source, item.local), []).append(item)
@@ -236,7 +239,7 @@ class ComponentRecord(ABC):
                 name,
                 source,
                 tuple(item.name for item in items),
-                np.column_stack([slope(item) for item in items]),
+                np.column_stack([slopes(items[i : i + AT_ONCE]) for i in range(0, len(items), AT_ONCE)]),
                 np.diag([item.uncertainty**2 for item in items]),
                 local=local,
             )

@@ -7,7 +7,8 @@ errors of independent sizes, which go where the channel goes: through filters, l
 
 from __future__ import annotations
 
-from typing import Final
+from collections.abc import Sequence
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -36,6 +37,13 @@ MOST: Final = 64
 """Errors of a channel that are kept apart; where there are more they are mixed to as many, which keeps their size."""
 
 
+class _Errors(NamedTuple):
+    """Errors of independent size 1 within a stretch of a gap, from a sample on, shape (m, k)."""
+
+    first: int
+    shapes: Array
+
+
 def filled(channel: Channel) -> tuple[Array, Array]:
     """Return what `predicted` does, and warn of the gaps."""
     missing = int(channel.missing.sum())
@@ -62,14 +70,19 @@ def predicted(channel: Channel) -> tuple[Array, Array]:
     noise = channel_noise(channel) if np.count_nonzero(~missing) >= FEWEST else 0.0
     own[0] = max(own[0] - noise**2, 0.0)
     covariance[0] *= 1 + EXACT
-    index, errors = np.arange(values.size), []
+    index, errors = np.arange(values.size), list[_Errors]()
+    alone: dict[int, Array] = {}  # of stretches of a length that no reading is near
     for begin, end in gaps_in(missing):
         for first in range(begin, end, STRETCH):
             last = min(first + STRETCH, end)
             known = index[max(first - AROUND, 0) : last + AROUND]
             known = known[~missing[known]]
+            told = known.size > 0 and covariance[0] > 0
+            if not told and last - first in alone:
+                errors.append(_Errors(first, alone[last - first]))
+                continue
             missed = own[np.abs(index[first:last, None] - index[first:last])]
-            if known.size and covariance[0] > 0:
+            if told:
                 across = own[np.abs(known[:, None] - index[first:last])]
                 weights = np.linalg.solve(covariance[np.abs(known[:, None] - known)], across)
                 swing[first:last] = weights.T @ swing[known]
@@ -78,10 +91,11 @@ def predicted(channel: Channel) -> tuple[Array, Array]:
                 missed = _positive(missed - across.T @ weights - of_noise) + of_noise
             size, shapes = np.linalg.eigh(missed)
             kept = size > SHARE * max(float(size.sum()), 0.0) / size.size
-            error = np.zeros((values.size, int(kept.sum())))
-            error[first:last] = shapes[:, kept] * np.sqrt(size[kept])
-            errors.append(error)
-    return mean + swing, _few(np.column_stack(errors))
+            shapes = shapes[:, kept] * np.sqrt(size[kept])
+            errors.append(_Errors(first, shapes))
+            if not told:
+                alone[last - first] = shapes
+    return mean + swing, _few(errors, samples=values.size)
 
 
 def _autocovariance(values: Array, *, variance: float) -> Array:
@@ -104,11 +118,19 @@ def _positive(matrix: Array) -> Array:
     return np.asarray((shapes * np.maximum(size, 0.0)) @ shapes.T)
 
 
-def _few(errors: Array) -> Array:
+def _few(errors: Sequence[_Errors], *, samples: int) -> Array:
     """As many errors as are kept apart, shape (n, k), mixed at random where there are more."""
-    count = errors.shape[1]
-    if count <= MOST:
-        return errors
-    mixed = np.random.default_rng(count).normal(size=(count, MOST))
-    basis, _ = np.linalg.qr(mixed)
-    return np.asarray(np.sqrt(count / MOST) * (errors @ basis))
+    counts = [one.shapes.shape[1] for one in errors]
+    count = sum(counts)
+    few = min(count, MOST)
+    mixing = np.eye(count) if count <= MOST else _mixing(count)
+    found = np.zeros((samples, few))
+    for one, last, own in zip(errors, np.cumsum(counts), counts, strict=True):
+        found[one.first : one.first + len(one.shapes)] = one.shapes @ mixing[last - own : last]
+    return found
+
+
+def _mixing(count: int) -> Array:
+    """What mixes so many errors to as many as are kept apart, shape (count, k)."""
+    basis, _ = np.linalg.qr(np.random.default_rng(count).normal(size=(count, MOST)))
+    return np.asarray(np.sqrt(count / MOST) * basis)
