@@ -16,6 +16,7 @@ from aerobalance.app.cli.program import main
 from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.estimation.checks.impossible_channels import impossible_channels
 from aerobalance.estimation.force import estimate_force
+from aerobalance.io import load_channel_map
 from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.doubts import KINDS, Doubt, Verdict
@@ -271,3 +272,31 @@ def test_a_clipped_channel_is_told_once(tmp_path, monkeypatch, capsys):
     assert sum("limit" in text for text in result["warnings"]) == 1
     with pytest.warns(DataQualityWarning, match="AF rests on its limit"):  # who only reads is told as well
         ab.read("run.csv")
+
+
+def test_a_mass_in_words_is_refused_by_what_is_allowed():
+    time = np.arange(400) / RATE
+    load = 50.0 * np.exp(-4.0 * time) * np.cos(2 * np.pi * 66.0 * time)
+    record = Recording.from_columns(time, {"AF": Channel("AF", load, "N")})
+    with pytest.raises(ValueError, match=r"mass is a number \[kg\].*not '12,8 kg'"):
+        ab.identify(record, mass="12,8 kg")
+
+
+def test_a_force_that_is_not_there_is_told_with_those_that_are():
+    noise = np.random.default_rng(0).normal(size=800)
+    record = Recording.from_columns(np.arange(800) / RATE, {"AF": Channel("AF", noise, "N")})
+    force = estimate_force(record, T128)
+    with pytest.raises(KeyError, match="no force along 'NF'; there are AF"):
+        force["NF"]
+    assert "NF" not in force
+    assert force.get("NF") is None
+
+
+def test_a_channel_map_is_taken_as_it_is_or_as_its_file(tmp_path):
+    (tmp_path / "run.csv").write_text("t,load\n" + "".join(f"{i / 100},{i % 7}\n" for i in range(50)))
+    (tmp_path / "map.toml").write_text(
+        '[file]\ntime = "t"\ntime_unit = "s"\n\n[channels.AF]\ncolumn = "load"\nunit = "N"\n'
+    )
+    by_file = ab.read(tmp_path / "run.csv", channel_map=tmp_path / "map.toml")
+    as_it_is = ab.read(tmp_path / "run.csv", channel_map=load_channel_map(tmp_path / "map.toml"))
+    np.testing.assert_array_equal(by_file.channel("AF").values, as_it_is.channel("AF").values)

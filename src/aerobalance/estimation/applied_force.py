@@ -53,6 +53,8 @@ class Force(Mapping[str, ComponentForce]):
     worst: Callable[[], tuple[Force, str]] | None = None
 
     def __getitem__(self, component: str) -> ComponentForce:
+        if component not in self.parts:
+            raise KeyError(f"there is no force along {component!r}; there are {', '.join(self.parts)}")
         return self.parts[component]
 
     def __iter__(self) -> Iterator[str]:

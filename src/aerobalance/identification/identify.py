@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from numbers import Real
 from typing import Literal, get_args
 
 from aerobalance.balance.calibration.fit import Calibration
@@ -144,6 +145,12 @@ def _tapped(
 def _weighed(mass: Mass | None, names: tuple[str, ...]) -> float | tuple[float, float] | None:
     """Mass, with its standard uncertainty where it was weighed: that of one component, or of the whole model."""
     if not isinstance(mass, Weighing):
+        numbers = mass if isinstance(mass, tuple | list) else (mass,)
+        if mass is not None and not all(isinstance(one, Real) for one in numbers):
+            raise ValueError(
+                "mass is a number [kg], a number with its standard uncertainty, such as (12.8, 0.01), or a weighing, "
+                f"not {mass!r}"
+            )
         return mass
     if len(names) != 1:
         return mass.mass, mass.u_mass

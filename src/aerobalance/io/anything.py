@@ -10,6 +10,7 @@ from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.io import load_channel_map
 from aerobalance.io import read as read_recording
 from aerobalance.io.balance_file import is_matrix, read_matrix
+from aerobalance.io.channel_map import ChannelMap
 from aerobalance.io.dynamics_file import read_any_dynamics
 from aerobalance.io.kinds import kind_of
 from aerobalance.io.mass_file import read_weighing
@@ -19,7 +20,7 @@ from aerobalance.recording.sensors import corrected
 
 
 def read(
-    path: Path | str, *, channel_map: Path | str | None = None
+    path: Path | str, *, channel_map: ChannelMap | Path | str | None = None
 ) -> Recording | BalanceMatrix | Weighing | BalanceDynamics:
     """Recording, balance matrix, weighing or dynamics of a file, told by its content.
 
@@ -29,7 +30,7 @@ def read(
         A recording of any format that is known, the matrix of ``calibrate`` or BALFIT, the mass.json of ``weigh``, or
         the dynamics.json of ``identify``. A load schedule is read by `read_schedule`.
     channel_map
-        Channel map (TOML) of a recording whose headers do not say what is what.
+        Channel map of a recording whose headers do not say what is what, or its file (TOML).
 
     Returns
     -------
@@ -52,6 +53,6 @@ def read(
             return read_any_dynamics(file)
         if kind == "balance" or is_matrix(file):
             return read_matrix(file)
-    return corrected(
-        read_recording(file, channel_map=None if channel_map is None else load_channel_map(Path(channel_map)))
-    )
+    if isinstance(channel_map, Path | str):
+        channel_map = load_channel_map(Path(channel_map))
+    return corrected(read_recording(file, channel_map=channel_map))
