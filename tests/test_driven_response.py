@@ -10,7 +10,7 @@ import pytest
 
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.applied_force import Force
-from aerobalance.estimation.checks.driven_response import driven_response
+from aerobalance.estimation.checks.driven_response import driven_response, speaks_against
 from aerobalance.estimation.force import estimate_force, force_record
 from aerobalance.estimation.independent_record import SingleRecord
 from aerobalance.recording.channel import Channel
@@ -154,3 +154,13 @@ def test_a_broad_load_tells_a_frequency_far_from_the_expected_one(frequency, rng
     assert any(doubt.kind == "natural frequency" for doubt in found.doubts)
     error = found["AF"].values - force[: still.samples]
     assert np.std(error) == pytest.approx(np.sqrt(np.mean(found["AF"].uncertainty ** 2)), rel=0.25)
+
+
+def test_the_motion_speaks_against_what_a_load_seems_to_show(rng) -> None:
+    """Other dynamics than the balance's explain the motion's load worse, and its own never do."""
+    recording = shaken(rng, force=steady(rng))
+    record, wrong = asked(recording, known()), asked(recording, known(1.05))
+    for other in (known(1.02), known(damping=2.0), known(0.9)):
+        assert speaks_against(other, record, used=record)
+    assert not speaks_against(known(), record, used=record)
+    assert not speaks_against(known(), wrong, used=wrong)

@@ -236,6 +236,34 @@ def driven_response(
     return DrivenResponse(change, driven.uncertainty(change), gain)
 
 
+def speaks_against(
+    other: Dynamics,
+    record: SingleRecord,
+    *,
+    used: SingleRecord,
+    steps: Sequence[Step] = (),
+    lines: Sequence[Line] = (),
+) -> bool:
+    """Whether the response to the ground's motion speaks clearly for the expected dynamics and against others.
+
+    Parameters
+    ----------
+    other
+        The others, which the force of the flow seems to show: a gust that is not found may look like a ringing.
+    record, used, steps, lines
+        As in `driven_response`.
+    """
+    driven = _driven(record, used, steps, lines)
+    if driven is None:
+        return False
+    own = record.dynamics
+    change = np.log(
+        [other.natural_frequency / own.natural_frequency, max(other.damping_ratio, 1e-12) / own.damping_ratio]
+    )
+    lost = driven.costs(change) - driven.bands.costs(driven.bands.lines(driven.left))
+    return float(lost.sum() - lost.max()) > SETTINGS.decisive
+
+
 def _driven(record: SingleRecord, used: SingleRecord, steps: Sequence[Step], lines: Sequence[Line]) -> _Driven | None:
     """The longest stretch without a gap or a step, once a ringing from its begin has decayed; None without one."""
     felt = record.from_ground

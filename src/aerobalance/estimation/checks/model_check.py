@@ -28,6 +28,7 @@ from aerobalance.estimation.checks.other_dynamics import (
     driven_dynamics,
     other_dynamics_in,
     peaks_of,
+    without_contradicted,
 )
 from aerobalance.estimation.checks.peaks import peak_doubts
 from aerobalance.estimation.checks.spoken import Spoken
@@ -103,12 +104,13 @@ def checked(force: Force) -> Force:
             if kinds & {"resolution", "too many steps"}:
                 continue  # what rounding makes of a load swings at multiples of it, and so does a square wave
             facts = known_of_one(one)
-            shown = driven_dynamics(asked, used=one, steps=facts["steps"], lines=facts["lines"])
+            known_of_motion = {"used": one, "steps": facts["steps"], "lines": facts["lines"]}
+            shown = driven_dynamics(asked, **known_of_motion)
             if shown is not None:  # what it leaves of the motion looks like another gain or a delay of its channel
                 parts[name] = _without_ground(parts[name])
                 kinds = {doubt.kind for doubt in parts[name].doubts}
             else:
-                shown = other_dynamics_in(one, **facts)
+                shown = without_contradicted(other_dynamics_in(one, **facts), asked, **known_of_motion)
             net, lacking = one.motion_force, one.motion_force - asked.motion_force
             found, interval = shown.doubts(own), one.interval
             bent, error = _not_linear(one, force[name]) or (None, np.zeros(0))

@@ -19,7 +19,7 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.asked_readings import longest_stretch, unbroken, without_steady_tones, without_steps
 from aerobalance.estimation.checks.averaged_spectrum import Averaged
 from aerobalance.estimation.checks.changing_resonance import changes_along, stretches_of
-from aerobalance.estimation.checks.driven_response import driven_response
+from aerobalance.estimation.checks.driven_response import driven_response, speaks_against
 from aerobalance.estimation.checks.evidence import Evidence
 from aerobalance.estimation.checks.local_modes import missing_mode, own_resonance
 from aerobalance.estimation.checks.model_error import BY_PROBABILITY
@@ -232,6 +232,28 @@ def driven_dynamics(
         damping=damping,
         during=", as its response to the ground's motion shows",
     )
+
+
+def without_contradicted(
+    found: OtherDynamics, record: SingleRecord, *, used: SingleRecord, steps: Sequence[Step], lines: Sequence[Line]
+) -> OtherDynamics:
+    """The same without another resonance that the response to the ground's motion speaks against.
+
+    Parameters
+    ----------
+    found
+        What the record says against the dynamics; of a part of it the motion of all is no witness.
+    record, used, steps, lines
+        As in `driven_response`.
+    """
+    against = partial(speaks_against, record=record, used=used, steps=steps, lines=lines)
+    if found.changed and found.within is None:
+        (*_, told) = found.doubts(record.dynamics)
+        if isinstance(told.other, Dynamics) and against(told.other):
+            found = replace(found, frequency=None, damping=None, silent=False)
+    if found.possible is not None and found.possible.kind != "missing mode" and against(found.possible.dynamics):
+        found = replace(found, possible=None)
+    return found
 
 
 def other_dynamics_in(
