@@ -164,3 +164,16 @@ def test_the_motion_speaks_against_what_a_load_seems_to_show(rng) -> None:
         assert speaks_against(other, record, used=record)
     assert not speaks_against(known(), record, used=record)
     assert not speaks_against(known(), wrong, used=wrong)
+
+
+@pytest.mark.parametrize("noise", [0.0, 1e-6])
+def test_a_pure_tone_without_noise_is_asked_nothing(noise, rng) -> None:
+    """What its window makes of it goes with the motion at all frequencies: no search may run away with it."""
+    time = np.arange(3200) / 1600
+    ground = 3 * np.cos(2 * np.pi * 20 * time)
+    channels = {
+        "AF": Channel("AF", 1.0 + noise * rng.normal(size=time.size), "N", noise=noise),
+        "ground_acceleration": Channel("ground_acceleration", ground, "m/s^2", noise=noise),
+    }
+    record = asked(Recording.from_columns(time, channels), known())
+    assert driven_response(record, used=record) is None

@@ -52,8 +52,8 @@ class DrivenResponseSettings:
         have any of sixty values.
     over_channel
         The same over a channel's gain and delay, which are two numbers as well: 3000 to 1.
-    frequencies
-        Largest logarithm of the natural frequency over the expected one.
+    frequencies, most_damping
+        Largest logarithms of the natural frequency and the damping ratio over the expected ones.
     damping
         Damping ratios over the expected one from which it is begun.
     tone
@@ -71,6 +71,7 @@ class DrivenResponseSettings:
     decisive: float = 15.0
     over_channel: float = 8.0
     frequencies: float = 0.3
+    most_damping: float = 3.5
     damping: tuple[float, ...] = (0.3, 1.0, 3.0)
     tone: float = 50.0
     decayed: float = 3.0
@@ -79,6 +80,9 @@ class DrivenResponseSettings:
 
 SETTINGS: Final = DrivenResponseSettings()
 """Settings that are used."""
+
+ROUNDING: Final = 1e-9
+"""What is left of a load over it, up to which it is rounding."""
 
 ABOUT: Final = 32
 """Ordinates on either side whose median a tone stands out of."""
@@ -167,7 +171,8 @@ class _Driven:
     def likeliest(self) -> tuple[Array, Array]:
         """The likeliest change of the resonance, shape (2,), and each band's gain in log-likelihood by it, (b,)."""
         width = 0.3 * self.record.dynamics.damping_ratio
-        change, _ = _least(lambda one: float(self.costs(one).sum()), self._nearly(), np.array([width, 0.3]))
+        most = np.array([SETTINGS.frequencies, SETTINGS.most_damping])
+        change, _ = _least(lambda one: float(self.costs(one).sum()), self._nearly(), np.array([width, 0.3]), most=most)
         return change, self.bands.costs(self.bands.lines(self.left)) - self.costs(change)
 
     def by_channel(self) -> float:
@@ -179,7 +184,8 @@ class _Driven:
             moved = (1 + change[0]) * np.exp(-2j * np.pi * turns * change[1])
             return float(self.bands.costs(load - moved * felt).sum())
 
-        return min(_least(cost, np.array([size, 0.0]), np.array([0.1, 0.02]))[1] for size in (0.0, -2.0))
+        most = np.array([10.0, 1.0])
+        return min(_least(cost, np.array([size, 0.0]), np.array([0.1, 0.02]), most=most)[1] for size in (0.0, -2.0))
 
     def uncertainty(self, change: Array) -> Array:
         """Standard uncertainties of a likeliest change by the curvature of its likelihood, shape (2,) [1]."""
@@ -229,7 +235,8 @@ def driven_response(
         return None
     change, gained = driven.likeliest()
     gain = float(gained.sum())
-    if gain - float(gained.max()) < SETTINGS.decisive or not np.abs(change[0]) < SETTINGS.frequencies:
+    inside = np.abs(change) < 0.99 * np.array([SETTINGS.frequencies, SETTINGS.most_damping])
+    if gain - float(gained.max()) < SETTINGS.decisive or not inside.all():
         return None
     if driven.by_channel() - float(driven.costs(change).sum()) < SETTINGS.over_channel:
         return None
@@ -280,6 +287,8 @@ def _driven(record: SingleRecord, used: SingleRecord, steps: Sequence[Step], lin
     begin, end = max(ends, key=lambda one: one[1] - one[0])
     if end - begin < SETTINGS.periods / (own.natural_frequency * record.interval):
         return None
+    if np.ptp(left[begin:end]) <= ROUNDING * np.ptp(felt):
+        return None  # nothing is left
     part = slice(first + begin, first + end)
     bands = _bands_of(felt[part], own, record.interval)
     return None if bands is None else _Driven(record, part, left[begin:end], whole[begin:end], felt[part], bands)
@@ -320,13 +329,14 @@ def _goes_with(bands: _Bands, left: Array, felt: Array) -> bool:
     return bool(excess > SETTINGS.worth_a_look * np.sqrt(counts.size))
 
 
-def _least(cost: Callable[[Array], float], start: Array, steps: Array) -> tuple[Array, float]:
-    """Where a cost of two numbers is least near a start, shape (2,), and the cost there."""
+def _least(cost: Callable[[Array], float], start: Array, steps: Array, *, most: Array) -> tuple[Array, float]:
+    """Where a cost of two numbers of limited size is least near a start, shape (2,), and the cost there."""
     simplex = start + np.array([[0.0, 0.0], [steps[0], 0.0], [0.0, steps[1]]])
     found = minimize(
         cost,
         start,
         method="Nelder-Mead",
-        options={"initial_simplex": simplex, "maxfev": 80, "xatol": 1e-5, "fatol": 0.05},
+        bounds=[(-one, one) for one in most.tolist()],
+        options={"initial_simplex": np.clip(simplex, -most, most), "maxfev": 80, "xatol": 1e-5, "fatol": 0.05},
     )
     return np.asarray(found.x), float(found.fun)

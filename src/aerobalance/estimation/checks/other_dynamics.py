@@ -25,7 +25,7 @@ from aerobalance.estimation.checks.local_modes import missing_mode, own_resonanc
 from aerobalance.estimation.checks.model_error import BY_PROBABILITY
 from aerobalance.estimation.checks.peaks import Peak
 from aerobalance.estimation.checks.resonance import left_open, spoken_for
-from aerobalance.estimation.checks.spoken import Spoken
+from aerobalance.estimation.checks.spoken import MOVED, Spoken
 from aerobalance.estimation.checks.step_ringing import change_by_steps
 from aerobalance.estimation.independent_record import SingleRecord
 from aerobalance.estimation.observation import Observation, SpectralPrior
@@ -242,16 +242,16 @@ def without_contradicted(
     Parameters
     ----------
     found
-        What the record says against the dynamics; of a part of it the motion of all is no witness.
+        What the record says against the dynamics; of a part of it, or of none, the motion is no witness.
     record, used, steps, lines
         As in `driven_response`.
     """
     against = partial(speaks_against, record=record, used=used, steps=steps, lines=lines)
-    if found.changed and found.within is None:
+    if found.changed and not found.silent and found.within is None:
         (*_, told) = found.doubts(record.dynamics)
         if isinstance(told.other, Dynamics) and against(told.other):
-            found = replace(found, frequency=None, damping=None, silent=False)
-    if found.possible is not None and found.possible.kind != "missing mode" and against(found.possible.dynamics):
+            found = replace(found, frequency=None, damping=None)
+    if found.possible is not None and found.possible.kind in MOVED and against(found.possible.dynamics):
         found = replace(found, possible=None)
     return found
 
