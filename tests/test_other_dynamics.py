@@ -18,7 +18,7 @@ from aerobalance.estimation.checks.evidence import Evidence
 from aerobalance.estimation.checks.local_modes import _fit, _fixed, _most_likely, missing_mode, own_resonance
 from aerobalance.estimation.checks.model_error import LEFT_OPEN, error_under
 from aerobalance.estimation.checks.near_resonance import near_resonance
-from aerobalance.estimation.checks.other_dynamics import OtherDynamics, _if_changed, other_dynamics_in
+from aerobalance.estimation.checks.other_dynamics import OtherDynamics, if_changed, other_dynamics_in
 from aerobalance.estimation.checks.spoken import SETTINGS as SPOKEN
 from aerobalance.estimation.checks.spoken import Spoken
 from aerobalance.estimation.checks.step_ringing import change_by_steps
@@ -677,12 +677,12 @@ def test_the_right_resonance_is_left_alone_and_leaves_little_open(seed):
 
 def test_a_factor_that_is_hardly_told_is_no_change():
     """The covariance is that of the logarithm: five of its standard uncertainties, whichever way the factor goes."""
-    assert _if_changed(1.68, 0.70) is None  # 2.4 of them, although 5.4 times the damping is 6 times 0.70 more
+    assert if_changed(1.68, 0.70) is None  # 2.4 of them, although 5.4 times the damping is 6 times 0.70 more
     for factor in (5.4, 1 / 5.4):
-        assert _if_changed(np.log(factor), 0.99 * np.log(5.4) / 5) == pytest.approx(
+        assert if_changed(np.log(factor), 0.99 * np.log(5.4) / 5) == pytest.approx(
             (factor - 1, factor * 0.99 * np.log(5.4) / 5)
         )
-        assert _if_changed(np.log(factor), 1.01 * np.log(5.4) / 5) is None
+        assert if_changed(np.log(factor), 1.01 * np.log(5.4) / 5) is None
 
 
 @pytest.mark.parametrize("seed", [0, 1])

@@ -97,13 +97,10 @@ class DrivenResponse(NamedTuple):
         Logarithms of its natural frequency and its damping ratio over the expected ones, shape (2,) [1].
     u
         Their standard uncertainties, shape (2,) [1].
-    gain
-        Gain in log-likelihood over the expected dynamics.
     """
 
     change: Array
     u: Array
-    gain: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -234,13 +231,12 @@ def driven_response(
     if driven is None or not _goes_with(driven.bands, driven.left, driven.felt):
         return None
     change, gained = driven.likeliest()
-    gain = float(gained.sum())
     inside = np.abs(change) < 0.99 * np.array([SETTINGS.frequencies, SETTINGS.most_damping])
-    if gain - float(gained.max()) < SETTINGS.decisive or not inside.all():
+    if float(gained.sum() - gained.max()) < SETTINGS.decisive or not inside.all():
         return None
     if driven.by_channel() - float(driven.costs(change).sum()) < SETTINGS.over_channel:
         return None
-    return DrivenResponse(change, driven.uncertainty(change), gain)
+    return DrivenResponse(change, driven.uncertainty(change))
 
 
 def speaks_against(

@@ -18,6 +18,7 @@ from aerobalance.dynamics.modal import ModalModel
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.asked_readings import unbroken, without_steps
+from aerobalance.estimation.checks.driven_dynamics import driven_dynamics, without_contradicted
 from aerobalance.estimation.checks.ground_doubts import LEFT_OPEN as CHANNEL_LEFT_OPEN
 from aerobalance.estimation.checks.mode_shapes import shape_doubts
 from aerobalance.estimation.checks.model_error import LEFT_OPEN, TOLD, as_noise, error_under
@@ -25,10 +26,8 @@ from aerobalance.estimation.checks.not_linear import NotLinear, all_along, frict
 from aerobalance.estimation.checks.other_dynamics import (
     ModelDoubt,
     as_said,
-    driven_dynamics,
     other_dynamics_in,
     peaks_of,
-    without_contradicted,
 )
 from aerobalance.estimation.checks.peaks import peak_doubts
 from aerobalance.estimation.checks.spoken import Spoken

@@ -19,13 +19,12 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.asked_readings import longest_stretch, unbroken, without_steady_tones, without_steps
 from aerobalance.estimation.checks.averaged_spectrum import Averaged
 from aerobalance.estimation.checks.changing_resonance import changes_along, stretches_of
-from aerobalance.estimation.checks.driven_response import driven_response, speaks_against
 from aerobalance.estimation.checks.evidence import Evidence
 from aerobalance.estimation.checks.local_modes import missing_mode, own_resonance
 from aerobalance.estimation.checks.model_error import BY_PROBABILITY
 from aerobalance.estimation.checks.peaks import Peak
 from aerobalance.estimation.checks.resonance import left_open, spoken_for
-from aerobalance.estimation.checks.spoken import MOVED, Spoken
+from aerobalance.estimation.checks.spoken import Spoken
 from aerobalance.estimation.checks.step_ringing import change_by_steps
 from aerobalance.estimation.independent_record import SingleRecord
 from aerobalance.estimation.observation import Observation, SpectralPrior
@@ -203,59 +202,6 @@ class ModelDoubt:
     within: slice | None = None
 
 
-def driven_dynamics(
-    record: SingleRecord, *, used: SingleRecord, steps: Sequence[Step], lines: Sequence[Line]
-) -> OtherDynamics | None:
-    """What the response to the ground's motion says against the dynamics; None where it says nothing.
-
-    Parameters
-    ----------
-    record, used, steps, lines
-        As in `driven_response`.
-    """
-    found = driven_response(record, used=used, steps=steps, lines=lines)
-    if found is None:
-        return None
-    dynamics = record.dynamics
-    known = [
-        dynamics.uncertainty(name) / (getattr(dynamics, name) or 1.0)
-        for name in ("natural_frequency", "damping_ratio")
-    ]
-    frequency, damping = (
-        _if_changed(float(change), float(u)) for change, u in zip(found.change, np.hypot(found.u, known), strict=True)
-    )
-    if frequency is None and damping is None:
-        return None
-    return OtherDynamics(
-        dynamics.component,
-        frequency=frequency,
-        damping=damping,
-        during=", as its response to the ground's motion shows",
-    )
-
-
-def without_contradicted(
-    found: OtherDynamics, record: SingleRecord, *, used: SingleRecord, steps: Sequence[Step], lines: Sequence[Line]
-) -> OtherDynamics:
-    """The same without another resonance that the response to the ground's motion speaks against.
-
-    Parameters
-    ----------
-    found
-        What the record says against the dynamics; of a part of it, or of none, the motion is no witness.
-    record, used, steps, lines
-        As in `driven_response`.
-    """
-    against = partial(speaks_against, record=record, used=used, steps=steps, lines=lines)
-    if found.changed and not found.silent and found.within is None:
-        (*_, told) = found.doubts(record.dynamics)
-        if isinstance(told.other, Dynamics) and against(told.other):
-            found = replace(found, frequency=None, damping=None)
-    if found.possible is not None and found.possible.kind in MOVED and against(found.possible.dynamics):
-        found = replace(found, possible=None)
-    return found
-
-
 def other_dynamics_in(
     record: SingleRecord,
     *,
@@ -327,7 +273,7 @@ def other_dynamics_in(
     if within and learned is not None:
         change, covariance, gain = change_by_steps(reading, within, learned)
         both = [
-            _if_changed(float(one), float(np.hypot(np.sqrt(variance), dynamics.uncertainty(name) / own)))
+            if_changed(float(one), float(np.hypot(np.sqrt(variance), dynamics.uncertainty(name) / own)))
             for one, variance, name, own in zip(
                 change,
                 np.diag(covariance),
@@ -470,7 +416,7 @@ def _in_spectrum(
         for index, name in enumerate(("natural_frequency", "damping_ratio")):
             known = dynamics.uncertainty(name) / getattr(dynamics, name)
             u = float(np.hypot(np.sqrt(own[1][index, index]), known))
-            changes[index] = _if_changed(float(own[0][index]), u)
+            changes[index] = if_changed(float(own[0][index]), u)
     return OtherDynamics(
         dynamics.component,
         missing=None if found is None else found.mode,
@@ -482,7 +428,7 @@ def _in_spectrum(
     )
 
 
-def _if_changed(change: float, u: float) -> tuple[float, float] | None:
+def if_changed(change: float, u: float) -> tuple[float, float] | None:
     """A relative change with its uncertainty where its logarithm, found with an uncertainty, is more than chance.
 
     A factor that is hardly told may be large, and its excess over one then says nothing: exp(1.7) - 1 is 4.5, which is

@@ -44,7 +44,8 @@ class ResonanceSettings:
         Steps more than a period apart from which on a resonance as narrow as a line of their spectrum is one, and no
         resonance.
     confirmed
-        Gain of the dynamics over a balance that does not ring, from which it is certain that it rings near there.
+        Gain of the dynamics over a balance that does not ring, from which it is certain that it rings near there; a
+        resonance far from it must gain as much over them, which may explain a part of its ringing.
     far, broad
         Relative change of the natural frequency from which a resonance with more than this damping ratio is taken for
         a narrow band of the load, unless the record speaks against its own resonance: it is left open at most, by what
