@@ -99,6 +99,10 @@ def checked(force: Force) -> Force:
             asked, found_motion = record.component_record(name), force[name].found_motion
             own = asked.dynamics
             one = asked if found_motion is None else asked.with_motion(found_motion)
+            if not force.settings.align:
+                asked = (
+                    one  # motion that a gap hid is motion; only a channel that was brought to the load may be right
+                )
             kinds = {doubt.kind for doubt in force[name].doubts}
             if kinds & {"resolution", "too many steps"}:
                 continue  # what rounding makes of a load swings at multiples of it, and so does a square wave
