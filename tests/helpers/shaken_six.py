@@ -78,9 +78,15 @@ class Shaken:
 
 
 def shaken(
-    rng: np.random.Generator, *, motion: float = 3.0, load: float = 0.01, together: bool = False, **rig: Any
+    rng: np.random.Generator,
+    *,
+    motion: float = 3.0,
+    load: float = 0.01,
+    highest: float = 40.0,
+    together: bool = False,
+    **rig: Any,
 ) -> Shaken:
-    """Draw a balance under gusts on a ground end that shakes below 40 Hz.
+    """Draw a balance under gusts on a ground end that shakes.
 
     Parameters
     ----------
@@ -90,13 +96,15 @@ def shaken(
         Rms of each of its accelerations [m/s^2, rad/s^2].
     load
         Rms of each load over half range.
+    highest
+        Highest frequency of the motion [Hz].
     together
         Whether all six motions follow one, as where it turns about one axis.
     rig
         Further settings of the rig.
     """
     duration, balance = 2.0, random_balance(rng)
-    base = random_motion(rng, Band(2, 40), rms=motion * np.ones(6), period=2 * duration)
+    base = random_motion(rng, Band(2, highest), rms=motion * np.ones(6), period=2 * duration)
     if together:
         base = of_one(base, rng.uniform(0.3, 1.0, 6) * rng.choice([-1.0, 1.0], 6))
     gusts = broadband(rng, Band(0, 100), rms=load * balance.half_range, period=2 * duration)

@@ -134,12 +134,13 @@ def forces_of(
         component = record.component_record(name, filled, shared=better[name])
         return fitted(component) if as_expected(component.reading(), fits[name].signal.learned) else fits[name]
 
-    with PROGRESS.stage(0.5, 0.8, "noise that is shared"):
+    # before noise is taken off that others show: what is left of the motion is in the others as well
+    with PROGRESS.stage(0.5, 0.55, "ground channels"):
+        ground = _ground_findings(fits, record)
+
+    with PROGRESS.stage(0.55, 0.85, "noise that is shared"):
         better = predicted_noise(fits, record, filled=filled)
         fits |= dict(zip(better, side_by_side(anew, better, what="component"), strict=True))
-
-    with PROGRESS.stage(0.8, 0.85, "ground channels"):
-        ground = _ground_findings(fits, record)
 
     def estimated_with(name: str) -> ComponentForce:
         fit = fits.pop(name)
