@@ -20,7 +20,7 @@ from aerobalance.estimation.checks.moved_dynamics import Moved
 from aerobalance.estimation.checks.resolution import resolution_doubt, rounding_error
 from aerobalance.estimation.checks.resonance_change import ResonanceChange, resonance_changes
 from aerobalance.estimation.checks.resonance_change import _told as change_told
-from aerobalance.estimation.checks.ringing import RingingSpectra
+from aerobalance.estimation.checks.ringing import RingingSpectra, SplitLoads
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.error_sources import Noise
 from aerobalance.estimation.force import estimate_force
@@ -516,7 +516,7 @@ def test_where_a_load_ends_no_change_of_a_resonance_is_told(place, rng):
         gusts = broadband(rng, end, rms=0.01 * balance.half_range, period=20.0)
         recording = SixComponentRig(balance, rate=rate, applied=gusts, output="loads").run(1.0, rng).recording
         record = CoupledRecord.of(recording, dynamics)
-        ringing = RingingSpectra.of(record, record.without_ground(record.loads, on_clock_of=0), parts)
+        ringing = RingingSpectra.of(record, SplitLoads.of(record, record.loads), parts)
         found.append([slope_and_bend(ringing, dynamics, mode) for mode in range(len(dynamics.modes))])
     slope, bend = np.moveaxis(np.array(found), -1, 0)  # records, modes, frequency and damping ratio
     told = bend.mean(axis=0) > 1

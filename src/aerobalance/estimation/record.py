@@ -381,9 +381,19 @@ class BalanceRecord(ABC):
         on_clock_of
             Row of the component.
         """
-        channel = self.channels[on_clock_of]
-        own = align_channels(filled, self.channels, to=channel, interval=self.interval)
-        return own - fractional_delay(self.from_ground, delay=channel.delay, interval=self.interval)
+        own = align_channels(filled, self.channels, to=self.channels[on_clock_of], interval=self.interval)
+        return own - self.felt_of_ground(on_clock_of=on_clock_of)
+
+    def felt_of_ground(self, *, on_clock_of: int) -> Array:
+        """Return what the ground's motion puts on the loads at the instants of a component's channel, (samples, n).
+
+        Parameters
+        ----------
+        on_clock_of
+            Row of the component.
+        """
+        delay = self.channels[on_clock_of].delay
+        return fractional_delay(self.from_ground, delay=delay, interval=self.interval)
 
     @abstractmethod
     def component_record(

@@ -21,9 +21,18 @@ class Rows:
     ----------
     forces
         Row i has what component i takes of every channel; powers of s rise along the last axis.
+    exchanged
+        What a force that is known by other means than the channels counts with in each component where channels have
+        another sign or order, shape (n, n); None where they have not.
     """
 
     forces: Array
+    exchanged: Array | None = None
+
+    @property
+    def order(self) -> Array:
+        """The same, and where they have not, each force in its own component."""
+        return np.eye(len(self.forces)) if self.exchanged is None else self.exchanged
 
     def at(self, frequency: Array) -> NDArray[np.complex128]:
         """Their values at frequencies of shape (m,) [Hz], shape (m, n, n)."""
@@ -59,12 +68,12 @@ class Rows:
 
     def with_signs(self, signs: Array) -> Rows:
         """The same for channels of other signs, shape (n,)."""
-        return Rows(self.forces * np.outer(signs, signs)[..., None])
+        return Rows(self.forces * np.outer(signs, signs)[..., None], np.diag(signs) @ self.order)
 
     def reordered(self, order: NDArray[np.intp]) -> Rows:
         """The same for channels that hold what others should."""
         back = np.argsort(order)
-        return Rows(self.forces[np.ix_(back, back)])
+        return Rows(self.forces[np.ix_(back, back)], self.order[back])
 
 
 def powers_of(one: DecoupledChannel, loads: Array, *, interval: float) -> Array:

@@ -24,6 +24,7 @@ from scipy.optimize import minimize
 
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.asked_readings import longest_stretch, unbroken
+from aerobalance.estimation.checks.coherence import WORTH_A_LOOK, excess_of_coherence
 from aerobalance.estimation.independent_record import SingleRecord
 from aerobalance.estimation.spectra.lines import Line
 from aerobalance.estimation.steps import Step
@@ -44,8 +45,6 @@ class DrivenResponseSettings:
     independent
         Numbers that the ordinates of a Hann window are worth, each: 18 of 35 (Harris, Proc. IEEE 66 (1978) 51: the
         correlation of neighbours by it, 2/3 and 1/6 in amplitude).
-    worth_a_look
-        Excess of what is left that goes with the motion over what chance gives, in its standard deviations.
     decisive
         Gain in log-likelihood from which other dynamics are said to be those of the balance, without the band that
         gains most: chance has it once in 3 million for two numbers, and once in 50 000 records where one of them may
@@ -67,7 +66,6 @@ class DrivenResponseSettings:
     reach: tuple[float, float] = (0.3, 3.0)
     band: tuple[int, float] = (8, 0.5)
     independent: float = 18 / 35
-    worth_a_look: float = 2.0
     decisive: float = 15.0
     over_channel: float = 8.0
     frequencies: float = 0.3
@@ -316,13 +314,8 @@ def _bands_of(felt: Array, own: Dynamics, interval: float) -> _Bands | None:
 
 def _goes_with(bands: _Bands, left: Array, felt: Array) -> bool:
     """Whether what is left of a load (n,) goes with what the ground's motion makes of it, more than by chance."""
-    one, other, counts = bands.lines(left), bands.lines(felt), bands.counts
-    cross = np.abs(bands.sums(one * np.conj(other))) ** 2
-    powers = bands.sums(np.abs(one) ** 2).real * bands.sums(np.abs(other) ** 2).real
-    coherence = np.minimum(cross / np.maximum(powers, 1e-300), 1 - 1e-12)
-    # by chance m numbers have -(m - 1) log(1 - coherence) distributed exponentially, with a mean of 1
-    excess = float(np.sum(-(counts - 1) * np.log1p(-coherence) - 1))
-    return bool(excess > SETTINGS.worth_a_look * np.sqrt(counts.size))
+    excess = excess_of_coherence(bands.lines(left), bands.lines(felt), bands.firsts, bands.counts)
+    return excess > WORTH_A_LOOK
 
 
 def _least(cost: Callable[[Array], float], start: Array, steps: Array, *, most: Array) -> tuple[Array, float]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -11,6 +12,7 @@ from aerobalance.estimation.checks.ground_channels import GroundFault
 from aerobalance.estimation.checks.ground_witnesses import SETTINGS
 from aerobalance.estimation.error_sources import Contribution, Systematic
 from aerobalance.estimation.record import Through
+from aerobalance.estimation.result import ComponentForce, budget_of
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import DOUBTED, Doubt
@@ -47,6 +49,20 @@ def ground_doubts(
         yield from _doubts(component, fault, errors_of_it, uncertainty=uncertainty)
         for error in _left_open(fault, errors_of_it):
             yield None, error
+
+
+def without_ground_doubts(force: ComponentForce) -> ComponentForce:
+    """Return the same without doubts of the channels of the ground's motion and what these added to its uncertainty.
+
+    What was done to a channel on request stays said.
+    """
+    of_ground = (f"{DOUBTED}ground", f"{DOUBTED}attitude", LEFT_OPEN)
+    kept = tuple(one for one in force.contributions if not one.name.startswith(of_ground))
+    doubts = tuple(one for one in force.doubts if not one.kind.startswith(("ground", "attitude")) or one.effect == 0)
+    if len(kept) == len(force.contributions):
+        return replace(force, doubts=doubts)
+    whole = np.sqrt(np.sum([one.deviation**2 for one in kept], axis=0))
+    return replace(force, doubts=doubts, contributions=kept, uncertainty=whole, budget=budget_of(kept))
 
 
 def _left_open(fault: GroundFault, errors: Array) -> Iterator[Systematic]:

@@ -19,6 +19,8 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.assumptions import SETTINGS as ASSUMED
 from aerobalance.estimation.checks.channel_rows import Rows, powers_of
+from aerobalance.estimation.checks.driven_shapes import moved_by_motion
+from aerobalance.estimation.checks.ground_doubts import without_ground_doubts
 from aerobalance.estimation.checks.model_error import BY_PROBABILITY, LEFT_OPEN, TOLD, as_noise
 from aerobalance.estimation.checks.moved_dynamics import Moved
 from aerobalance.estimation.checks.moved_modes import SETTINGS as MOVED
@@ -31,11 +33,10 @@ from aerobalance.estimation.checks.moved_modes import (
     one_moved,
 )
 from aerobalance.estimation.checks.resonance import gain_in_white_noise
-from aerobalance.estimation.checks.ringing import RingingSpectra, most_samples
-from aerobalance.estimation.coupled_record import CoupledRecord
+from aerobalance.estimation.checks.ringing import RingingSpectra, SplitLoads, most_samples
+from aerobalance.estimation.coupled_record import CoupledRecord, net_load
 from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.result import ComponentForce, with_errors
-from aerobalance.estimation.spectra.steady_tones import without_tones
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import DOUBTED, Assumption, Doubt
@@ -138,7 +139,7 @@ def other_shapes(ringing: RingingSpectra, dynamics: CoupledDynamics, *, far: boo
     return moved
 
 
-def force_errors(record: CoupledRecord, loads: Array, rows: Rows, bandwidth: Array) -> Array:
+def force_errors(record: CoupledRecord, loads: SplitLoads, rows: Rows, bandwidth: Array) -> Array:
     """Return how far forces are off if other rows are right, up to a frequency each, shape (samples, n) [N, N*m].
 
     Parameters
@@ -146,19 +147,24 @@ def force_errors(record: CoupledRecord, loads: Array, rows: Rows, bandwidth: Arr
     record
         The record.
     loads
-        The loads without gaps, less what the ground's motion has put on them, shape (samples, n).
+        The loads: with other rows the ground's motion puts another load on them, of the same force.
     rows
         The rows that are right.
     bandwidth
         Frequencies up to which the forces are resolved [Hz], shape (n,).
     """
-    count = loads.shape[0]
+    count = loads.left.shape[0]
     back = 0.5 + 0.5 * np.cos(np.pi * (np.arange(count) + 0.5) / count)
     frequency = np.fft.rfftfreq(2 * count, record.interval)
-    errors = []
-    for one, other, highest in zip(record.decoupled, rows.forces, bandwidth, strict=True):
-        powers = powers_of(one, loads, interval=record.interval)
+    errors, whole = [], loads.left + loads.felt
+    own = np.stack([one.row for one in record.decoupled])
+    motion = own - np.einsum("ij,jkp->ikp", rows.order, own)  # its force is counted in other components
+    for one, other, moved, highest in zip(record.decoupled, rows.forces, motion, bandwidth, strict=True):
+        powers = powers_of(one, whole, interval=record.interval)
         change = np.einsum("pjn,jp->n", powers, one.row - other, optimize=True)
+        if moved.any() and loads.shaken:
+            powers = powers_of(one, loads.felt, interval=record.interval)
+            change -= np.einsum("pjn,jp->n", powers, moved, optimize=True)
         closed = np.concatenate([change, change[0] + (change[-1] - change[0]) * back])  # its ends meet
         lines = np.fft.rfft(closed) / one.dynamics.response(frequency) * (frequency <= highest)
         errors.append(np.fft.irfft(lines, 2 * count)[:count])
@@ -251,19 +257,21 @@ def _by_shapes(
 ) -> dict[str, ComponentForce]:
     """Those that the modes of the record speak against, or that hang on what these do not tell."""
     dynamics, interval = record.dynamics, record.interval
-    loads = record.without_ground(filled, on_clock_of=0)
-    names = dynamics.components
+    loads, names = SplitLoads.of(record, filled), dynamics.components
     within, most = _between_gaps(record), most_samples(record)
-    ringing = RingingSpectra.of(record, loads[within], parts)
+    asked = ringing = RingingSpectra.of(record, loads.part(within), parts)
     other, first = _spoken(ringing, record, loads, parts, readings, within=within), 0
     # the balance may have changed on the way; of a part before others the next one's beginning tells
     if other is None and within.stop - within.start > most and record.recording.extent.end > 1 - SETTINGS.end:
         end = slice(within.stop - most, within.stop)
-        of_end = RingingSpectra.of(record, loads[end], parts)
-        other = _spoken(of_end, record, loads, parts, readings, within=end)
+        asked = RingingSpectra.of(record, loads.part(end), parts)
+        other = _spoken(asked, record, loads, parts, readings, within=end)
         first = min(within.start + most, within.stop - most)
-    if other is None:
+    if other is None or asked is None:
         return _frequencies_assumed(ringing, record, parts)
+    if other.moved is not None and other.probability == 1 and not asked.shows_motion(other.rows):
+        # what other modes leave of the motion looks like another gain or a delay of its channels
+        parts = {name: without_ground_doubts(part) for name, part in parts.items()}
     bandwidth = np.array([parts[name].bandwidth for name in names])
     errors = np.sqrt(other.probability) * force_errors(record, loads, other.rows, bandwidth)
     errors[:first] = 0.0
@@ -333,7 +341,8 @@ def _frequencies_assumed(
         return {}
     others = [own.by(slice(None), np.array([sign * ASSUMED.frequency, 0.0])) for sign in (1, -1)]
     forces = np.column_stack([parts[name].values for name in dynamics.components])
-    size = _by_others(forces, dynamics, others[0].moved, interval=record.interval)
+    motion = net_load(record.platform, dynamics)  # the balance reads it as it reads the forces
+    size = _by_others(forces + motion - motion.mean(axis=0), dynamics, others[0].moved, interval=record.interval)
     least = [ASSUMED.matters * float(np.sqrt(np.mean(parts[name].uncertainty ** 2))) for name in dynamics.components]
     if not (size > least).any():
         return {}
@@ -375,7 +384,7 @@ def _between_gaps(record: CoupledRecord) -> slice:
 def _spoken(
     ringing: RingingSpectra | None,
     record: CoupledRecord,
-    loads: Array,
+    loads: SplitLoads,
     parts: Mapping[str, ComponentForce],
     readings: Mapping[str, Observation],
     *,
@@ -395,10 +404,11 @@ def _spoken(
     other = other_shapes(ringing, record.dynamics, far=far)
     if other is None:
         first = int(within.start)
-        return moved_alone(ringing, record.dynamics) or one_moved(ringing, record, parts, readings, first=first)
+        shown = moved_by_motion(ringing, record.dynamics) or moved_alone(ringing, record.dynamics)
+        return shown or one_moved(ringing, record, parts, readings, first=first)
     # a tone is narrower than any resonance, and looks like one that is elsewhere
     above = SETTINGS.tones_above * record.dynamics.modes[0].natural_frequency * record.interval
-    ringing = RingingSpectra.of(record, without_tones(loads[within], above=above), parts)
+    ringing = RingingSpectra.of(record, loads.part(within).without_tones(above=above), parts)
     return None if ringing is None else other_shapes(ringing, record.dynamics, far=far)
 
 

@@ -19,7 +19,7 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.asked_readings import unbroken, without_steps
 from aerobalance.estimation.checks.driven_dynamics import driven_dynamics, without_contradicted
-from aerobalance.estimation.checks.ground_doubts import LEFT_OPEN as CHANNEL_LEFT_OPEN
+from aerobalance.estimation.checks.ground_doubts import without_ground_doubts
 from aerobalance.estimation.checks.mode_shapes import shape_doubts
 from aerobalance.estimation.checks.model_error import LEFT_OPEN, TOLD, as_noise, error_under
 from aerobalance.estimation.checks.not_linear import NotLinear, all_along, friction_of, not_linear
@@ -37,7 +37,7 @@ from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.independent_record import SingleRecord
 from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.record import ComponentRecord
-from aerobalance.estimation.result import ComponentForce, budget_of, with_doubt, with_errors
+from aerobalance.estimation.result import ComponentForce, with_doubt, with_errors
 from aerobalance.estimation.spectra.lines import Line
 from aerobalance.estimation.steps import Step, columns_of
 from aerobalance.recording.channel import Array
@@ -110,7 +110,7 @@ def checked(force: Force) -> Force:
             known_of_motion = {"used": one, "steps": facts["steps"], "lines": facts["lines"]}
             shown = driven_dynamics(asked, **known_of_motion)
             if shown is not None:  # what it leaves of the motion looks like another gain or a delay of its channel
-                parts[name] = _without_ground(parts[name])
+                parts[name] = without_ground_doubts(parts[name])
                 kinds = {doubt.kind for doubt in parts[name].doubts}
             else:
                 shown = without_contradicted(other_dynamics_in(one, **facts), asked, **known_of_motion)
@@ -166,20 +166,6 @@ def _error_under(net: Array, lacking: Array, other: ModalModel, *, own: ModalMod
         As in `error_under`.
     """
     return error_under(net, own=own, other=other, interval=interval) - lacking
-
-
-def _without_ground(force: ComponentForce) -> ComponentForce:
-    """The same without doubts of the channels of the ground's motion and what these added to its uncertainty.
-
-    What was done to a channel on request stays said.
-    """
-    of_ground = (f"{DOUBTED}ground", f"{DOUBTED}attitude", CHANNEL_LEFT_OPEN)
-    kept = tuple(one for one in force.contributions if not one.name.startswith(of_ground))
-    doubts = tuple(one for one in force.doubts if not one.kind.startswith(("ground", "attitude")) or one.effect == 0)
-    if len(kept) == len(force.contributions):
-        return replace(force, doubts=doubts)
-    whole = np.sqrt(np.sum([one.deviation**2 for one in kept], axis=0))
-    return replace(force, doubts=doubts, contributions=kept, uncertainty=whole, budget=budget_of(kept))
 
 
 def _raised(

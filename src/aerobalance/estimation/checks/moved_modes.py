@@ -203,17 +203,17 @@ def moved_together(
     if dynamics.internal or len(dynamics.modes) != len(dynamics.components):
         return None
     own, everything = Moved.none(dynamics), slice(None)
-    evidence_of = partial(_evidence, ringing)
+    seen_with = partial(evidence_of, ringing)
     sizes = (*SETTINGS.shifts, *(SETTINGS.far_shifts if far else ()))
     shifts = [(sign * size, 0.0) for size in sizes for sign in (-1, 1)]
     shifts += [(0.0, float(np.log(factor))) for factor in SETTINGS.dampings]
     tried = [own.by(everything, np.array(step)) for step in shifts]
-    evidence = [evidence_of(one) for one in tried]
+    evidence = [seen_with(one) for one in tried]
     gains = [gain_of(one, known) for one in evidence]
     if max(gains) < 0.5 * least and max(gain_apart(one, known) for one in evidence) < 0.5 * SETTINGS.open_from:
         return None
-    found = _closer(evidence_of, own, everything, tried[int(np.argmax(gains))])
-    seen = evidence_of(found)
+    found = closer(seen_with, own, everything, tried[int(np.argmax(gains))])
+    seen = seen_with(found)
     gain, apart = gain_of(seen, known), gain_apart(seen, known)
     narrow = gain < least or (apart < SETTINGS.open_from and gain < 2 * least)
     if (narrow and apart < SETTINGS.open_from) or not found.ringing.any() or contradicted(seen, known):
@@ -222,23 +222,23 @@ def moved_together(
         probability = float(expit(SETTINGS.open_steepness * (apart - SETTINGS.open_half)))
         return OtherShapes("natural frequency", (), found.rows, gain, found, probability)
     for place in range(len(found.changes)):
-        closer = _closer(evidence_of, found, place, found)
-        found = closer if closer.ringing[place] else found
+        nearer = closer(seen_with, found, place, found)
+        found = nearer if nearer.ringing[place] else found
     frequency, damping = np.max(np.abs(found.changes), axis=0)
     kind = "natural frequency" if frequency > SETTINGS.told or damping < SETTINGS.told_damping else "damping ratio"
     return OtherShapes(kind, (), found.rows, gain, found)
 
 
-def _evidence(ringing: RingingSpectra, moved: Moved) -> Array:
-    """Evidence of moved modes; none where a balance with them cannot be."""
+def evidence_of(ringing: RingingSpectra, moved: Moved) -> Array:
+    """Return the evidence of moved modes in every band, (bands,); none where a balance with them cannot be."""
     try:
         return ringing.evidence(moved.rows)
     except (ValueError, np.linalg.LinAlgError):
         return np.full(ringing.bands.size, -np.inf)
 
 
-def _closer(evidence: Evidence, before: Moved, place: int | slice, first: Moved) -> Moved:
-    """The likeliest change of modes near a first guess."""
+def closer(evidence: Evidence, before: Moved, place: int | slice, first: Moved) -> Moved:
+    """Return the likeliest change of modes, one or all, near a first guess."""
     start = first.changes[place].reshape(-1, 2)[0] - before.changes[place].reshape(-1, 2)[0]
     size = np.array([max(0.3 * abs(float(start[0])), 0.003), 0.3])
 
@@ -274,7 +274,7 @@ def moved_alone(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherShap
         about = ringing.near(mode.natural_frequency, within=SETTINGS.alone_about)
         if about is None:
             continue
-        evidence = partial(_evidence, about)
+        evidence = partial(evidence_of, about)
         known = evidence(own)
 
         def gain_of_one(moved: Moved, evidence: Evidence = evidence, known: Array = known) -> float:
@@ -285,7 +285,7 @@ def moved_alone(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherShap
         gains = [gain_of_one(one) for one in tried]
         if max(gains) < 0.5 * SETTINGS.alone_least:
             continue
-        moved = _closer(evidence, own, place, tried[int(np.argmax(gains))])
+        moved = closer(evidence, own, place, tried[int(np.argmax(gains))])
         shift, damping = moved.changes[place]
         between = np.abs(np.log(about.frequency / mode.natural_frequency)) < 2 * abs(shift)
         resolved = np.count_nonzero(between) >= SETTINGS.alone_fewest
@@ -353,8 +353,8 @@ def one_moved(
         return None
     gain, place, change = max(found, key=lambda one: one[0])
     own = Moved.none(dynamics)
-    moved = _closer(partial(_evidence, ringing), own, place, own.by(place, change))
-    gains = _evidence(ringing, moved) - _evidence(ringing, own)
+    moved = closer(partial(evidence_of, ringing), own, place, own.by(place, change))
+    gains = evidence_of(ringing, moved) - evidence_of(ringing, own)
     if abs(moved.changes[place, 1]) > SETTINGS.as_damped or float(np.sum(gains)) < RESONANCE.open_from:
         return None
     frequency = dynamics.modes[place].natural_frequency

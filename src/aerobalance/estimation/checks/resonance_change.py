@@ -19,7 +19,7 @@ from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.evidence import SETTINGS as EVIDENCE
 from aerobalance.estimation.checks.evidence import Evidence
 from aerobalance.estimation.checks.moved_dynamics import Moved
-from aerobalance.estimation.checks.ringing import RingingSpectra
+from aerobalance.estimation.checks.ringing import RingingSpectra, SplitLoads
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.result import ComponentForce
@@ -148,7 +148,7 @@ def _coupled(force: Force, record: CoupledRecord) -> tuple[ResonanceChange, ...]
     filled = force.filled
     if dynamics.internal or len(modes) != len(dynamics.components) or not np.ptp(filled, axis=0).all():
         return still
-    ringing = RingingSpectra.of(record, record.without_ground(filled, on_clock_of=0), force.parts)
+    ringing = RingingSpectra.of(record, SplitLoads.of(record, filled), force.parts)
     if ringing is None:
         return still
     own = Moved.none(dynamics)

@@ -23,7 +23,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,10 +31,12 @@ from numpy.typing import NDArray
 from aerobalance.estimation.checks._covariance_kernels import likeliest_covariances
 from aerobalance.estimation.checks._level_kernels import ForceLines, likeliest_levels, likeliest_levels_and_noise
 from aerobalance.estimation.checks.channel_rows import Rows, powers_of, product_of_modes
+from aerobalance.estimation.checks.coherence import WORTH_A_LOOK, excess_of_coherence
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.spectra._kernels import Search
 from aerobalance.estimation.spectra.periodogram import Periodogram
+from aerobalance.estimation.spectra.steady_tones import without_tones
 from aerobalance.estimation.spectra.windows import HANN_BANDWIDTH, leaked_from
 from aerobalance.recording.channel import Array
 from aerobalance.recording.fourier import hann
@@ -109,6 +111,41 @@ def most_samples(record: CoupledRecord) -> int:
     return SETTINGS.samples // record.recording.decimated
 
 
+class SplitLoads(NamedTuple):
+    """Loads without gaps, apart from what the ground's motion has put on them, at the instants of the first channel.
+
+    Attributes
+    ----------
+    left
+        The loads less that, shape (samples, n).
+    felt
+        What it has put on them by the dynamics of the record, shape (samples, n).
+    """
+
+    left: Array
+    felt: Array
+
+    @classmethod
+    def of(cls, record: CoupledRecord, filled: Array) -> SplitLoads:
+        """Those of a record whose readings have their gaps filled, shape (samples, n)."""
+        return cls(record.without_ground(filled, on_clock_of=0), record.felt_of_ground(on_clock_of=0))
+
+    def part(self, within: slice) -> SplitLoads:
+        """Some samples of them."""
+        return SplitLoads(self.left[within], self.felt[within])
+
+    @property
+    def shaken(self) -> bool:
+        """Whether the ground moves."""
+        return bool(np.ptp(self.felt, axis=0).any())
+
+    def without_tones(self, *, above: float) -> SplitLoads:
+        """The same without steady tones above a frequency over the sampling rate."""
+        return SplitLoads(
+            without_tones(self.left, above=above), without_tones(self.felt, above=above) if self.shaken else self.felt
+        )
+
+
 @dataclass(frozen=True, eq=False)  # without slots: what is worked out once is kept
 class RingingSpectra:
     """Spectra of all that rows of polynomials can make of a record.
@@ -119,7 +156,7 @@ class RingingSpectra:
         Frequencies of the ordinates [Hz], shape (m,).
     lines
         Spectral lines of every channel's powers of s over the modes of every decoupled component, times the product
-        of these modes at the ordinate, shape (n, p, n, m).
+        of these modes at the ordinate, shape (n, p, n, m). What the ground's motion has put on the loads is in them.
     gain
         Square of the response of the decoupled components as the window sees it, times that of the product, (n, m).
     noise
@@ -133,6 +170,9 @@ class RingingSpectra:
         other frequencies, shape (m,).
     own
         The rows that the record was read with.
+    of_ground
+        Spectral lines of the forces that the ground's motion puts on the moving mass, as those of `readings`, (n, m):
+        they are known whatever the rows are, by its mass. None where the ground is at rest.
     """
 
     frequency: Array
@@ -143,22 +183,26 @@ class RingingSpectra:
     shown: NDArray[np.bool_]
     clear: NDArray[np.bool_]
     own: Rows
+    of_ground: NDArray[np.complex128] | None = None
 
     @classmethod
-    def of(cls, record: CoupledRecord, loads: Array, parts: Mapping[str, ComponentForce]) -> RingingSpectra | None:
-        """Take the spectra of loads without gaps, shape (samples, n); None where a record is too short.
+    def of(
+        cls, record: CoupledRecord, given: SplitLoads, parts: Mapping[str, ComponentForce]
+    ) -> RingingSpectra | None:
+        """Take the spectra of loads; None where a record is too short.
 
         Parameters
         ----------
         record
             The record that they are from.
-        loads
-            The loads, less what the ground's motion has put on them.
+        given
+            The loads.
         parts
             The forces that were worked out.
         """
         most = most_samples(record)
-        loads = loads[:most] - loads[:most].mean(axis=0)
+        loads, felt = (one[:most] - one[:most].mean(axis=0) for one in given)
+        whole, shaken = loads + felt, given.shaken
         count, interval = loads.shape[0], record.interval
         step = 1 / (count * interval)
         top = SETTINGS.highest * max(mode.natural_frequency for mode in record.dynamics.modes)
@@ -171,12 +215,19 @@ class RingingSpectra:
         gains, forces, over = [], [], []
         inside, channels = slice(2, last), loads.shape[1]
         lines = np.empty((channels, record.decoupled[0].row.shape[1], channels, last - 2), dtype=np.complex128)
+        of_ground = np.empty((channels, last - 2), dtype=np.complex128) if shaken else None
         for one, own in zip(record.decoupled, lines, strict=True):
-            powers = powers_of(one, loads, interval=interval)
+            powers = powers_of(one, whole, interval=interval)
             seen = Periodogram.of(loads[:, one.place], one.dynamics, interval=interval)
             product = product_of_modes(one, seen.ordinates[0, : last - 2])
             driven = np.fft.rfft(powers * window)
-            forces.append(np.abs(np.einsum("pjm,jp->m", driven, one.row, optimize=True)) ** 2)
+            force = np.einsum("pjm,jp->m", driven, one.row, optimize=True)
+            if of_ground is not None:
+                motion = np.einsum("pjn,jp->n", powers_of(one, felt, interval=interval), one.row, optimize=True)
+                known = np.fft.rfft(motion * window)
+                force = force - known
+                of_ground[one.place] = known[inside] * product
+            forces.append(np.abs(force) ** 2)
             np.multiply(driven[..., inside], product, out=own)
             over.append(np.abs(product) ** 2)
             gains.append(seen.ordinates[2, : last - 2] * over[-1])
@@ -205,6 +256,7 @@ class RingingSpectra:
             shown,
             clear,
             rows,
+            of_ground,
         )
 
     def about(self, frequencies: Sequence[float]) -> NDArray[np.bool_]:
@@ -229,6 +281,7 @@ class RingingSpectra:
             self,
             frequency=self.frequency[part],
             lines=np.ascontiguousarray(self.lines[..., part]),
+            of_ground=None if self.of_ground is None else np.ascontiguousarray(self.of_ground[:, part]),
             gain=np.ascontiguousarray(self.gain[:, part]),
             bands=self.bands[inside] - first,
             shown=self.shown[part],
@@ -236,12 +289,27 @@ class RingingSpectra:
         )
 
     def readings(self, rows: Rows) -> NDArray[np.complex128]:
-        """Spectral lines of the decoupled components' readings by other rows, shape (n, m)."""
+        """Spectral lines of the decoupled components' readings by other rows, less the ground's motion, (n, m)."""
         # the rows are real: products of real numbers, both parts of a line in their turn
         count, powers, channels, size = self.lines.shape
         parts = self.lines.view(np.float64).reshape(count, powers * channels, 2 * size)
         found = np.matmul(rows.forces.transpose(0, 2, 1).reshape(count, 1, -1), parts)
-        return np.asarray(found.reshape(count, 2 * size).view(np.complex128))
+        lines = np.asarray(found.reshape(count, 2 * size).view(np.complex128))
+        return lines if self.of_ground is None else lines - rows.order @ self.of_ground
+
+    def shows_motion(self, rows: Rows) -> bool:
+        """Whether forces by these rows go with that of the ground's motion, more than by chance."""
+        if self.of_ground is None or not self.shown.any():
+            return False
+        widths = np.diff(np.append(self.bands, self.frequency.size))
+        told = self.shown[self.bands]
+        here, counts = np.repeat(told, widths), widths[told] / HANN_BANDWIDTH
+        firsts = np.cumsum(widths[told]) - widths[told]
+        moved = self.of_ground.any(axis=1)
+        found = excess_of_coherence(
+            self.readings(rows)[moved][:, here], self.of_ground[moved][:, here], firsts, counts
+        )
+        return found > WORTH_A_LOOK
 
     def evidence_apart(
         self, rows: Rows, *, determinant: Array | None = None, told: NDArray[np.bool_] | None = None
