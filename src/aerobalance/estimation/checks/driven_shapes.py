@@ -17,6 +17,7 @@ from aerobalance.estimation.checks.moved_dynamics import Moved
 from aerobalance.estimation.checks.moved_modes import SETTINGS as MOVED
 from aerobalance.estimation.checks.moved_modes import OtherShapes, closer, evidence_of
 from aerobalance.estimation.checks.ringing import RingingSpectra
+from aerobalance.recording.channel import Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,27 +59,24 @@ def moved_by_motion(ringing: RingingSpectra, dynamics: CoupledDynamics) -> Other
     """
     if dynamics.internal or len(dynamics.modes) != len(dynamics.components) or not ringing.shows_motion(ringing.own):
         return None
-    found, gained, modes = Moved.none(dynamics), 0.0, dict(enumerate(dynamics.modes))
+    found, gained, modes = Moved.none(dynamics), 0.0, set(range(len(dynamics.modes)))
+    tried = [(sign * size, 0.0) for size in SETTINGS.shifts for sign in (-1, 1)]
+    tried += [(0.0, float(np.log(factor))) for factor in SETTINGS.dampings]
+
+    def evidence(moved: Moved) -> Array:
+        return evidence_of(ringing, moved)
+
     while modes and ringing.shows_motion(found.rows):
-        best: tuple[float, int, Moved] | None = None
-        for place, mode in modes.items():
-            about = ringing.near(mode.natural_frequency, within=MOVED.alone_about)
-            if about is None:
-                continue
-            known = float(np.sum(evidence_of(about, found)))
-            tried = [(sign * size, 0.0) for size in SETTINGS.shifts for sign in (-1, 1)]
-            tried += [(0.0, float(np.log(factor))) for factor in SETTINGS.dampings]
-            others = [found.by(place, np.array(change)) for change in tried]
-            gains = [float(np.sum(evidence_of(about, one))) - known for one in others]
-            if best is None or max(gains) > best[0]:
-                best = max(gains), place, others[int(np.argmax(gains))]
-        if best is None or best[0] < SETTINGS.least:
+        known = float(np.sum(evidence(found)))
+        # below a mode and above it the motion tells of it as well: all bands are asked
+        others = [(place, found.by(place, np.array(change))) for place in sorted(modes) for change in tried]
+        gains = [float(np.sum(evidence(one))) - known for _, one in others]
+        if max(gains) < SETTINGS.least:
             return None
-        _, place, first = best
-        moved = closer(lambda one: evidence_of(ringing, one), found, place, first)
-        gained += float(np.sum(evidence_of(ringing, moved) - evidence_of(ringing, found)))
-        found = moved
-        del modes[place]
+        place, first = others[int(np.argmax(gains))]
+        found = closer(evidence, found, place, first)
+        gained += float(np.sum(evidence(found))) - known
+        modes.remove(place)
     if gained < SETTINGS.decisive or ringing.shows_motion(found.rows) or not found.ringing.all():
         return None
     frequency, damping = np.max(np.abs(found.changes), axis=0)
