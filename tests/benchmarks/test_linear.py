@@ -42,9 +42,9 @@ def load_of(rng: np.random.Generator, count: int) -> Array:
     return np.fft.irfft(phasors * RIG.response(frequency), count) + rng.normal(0, 0.5, count)
 
 
-def force_of(values: Array) -> Force:
+def force_of(time: Array, values: Array) -> Force:
     channel = Channel(RIG.component, values, "N")
-    return estimate_force(Recording.from_columns(np.arange(values.size) / RATE, {RIG.component: channel}), RIG)
+    return estimate_force(Recording.from_columns(time, {RIG.component: channel}), RIG)
 
 
 @pytest.mark.alone
@@ -56,7 +56,8 @@ def test_time_grows_as_the_record_does(record, rng) -> None:
 
     def of(parts: int) -> float:
         values = np.resize(period, once + (parts - 1) * again)
-        return min(spent(lambda: force_of(values)) for _ in range(2))
+        time = np.arange(values.size) / RATE
+        return min(spent(lambda: force_of(time, values)) for _ in range(2))
 
     of(1)
     times = [of(parts) for parts in PARTS]
@@ -72,16 +73,16 @@ def test_time_grows_as_the_record_does(record, rng) -> None:
 @pytest.mark.alone
 def test_a_further_sample_of_one_component(record, rng) -> None:
     """By one thread, as the transforms: two took 9 to 39 % more processor time for the same, by turns in one run."""
-    values = load_of(rng, 10_000_000)
-    shorter = values[:2_000_000]
-    yardstick, times = Yardstick(shorter), []
+    values, shorter = load_of(rng, 10_000_000), 2_000_000
+    time = np.arange(values.size) / RATE
+    yardstick, times = Yardstick(values[:shorter]), []
     with one_after_the_other():
-        spent(lambda: force_of(shorter))
-        for some in (shorter, values):
+        spent(lambda: force_of(time[:shorter], values[:shorter]))
+        for some in (shorter, values.size):
             yardstick.beside()
-            times.append(spent(lambda some=some: force_of(some)))
+            times.append(spent(lambda some=some: force_of(time[:some], values[:some])))
     yardstick.beside()
-    further, transform = (times[1] - times[0]) / (values.size - shorter.size), yardstick.transform
+    further, transform = (times[1] - times[0]) / (values.size - shorter), yardstick.transform
     print(f"a further sample {further / transform:.1f} transforms of {1e9 * transform:.1f} ns")  # noqa: T201
     record(
         "40 transforms over the time of a further sample, 1e7 of one component at 25 kHz",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from datetime import datetime
 from typing import Final, NamedTuple
 
@@ -19,6 +20,10 @@ RATE_KNOWN: Final = 1e-4
 
 LARGEST_GAP_RATIO: Final = 20
 """Samples of the steady clock per row of the file beyond which the recording has to be cut at its gaps."""
+
+
+AT_ONCE: Final = 1 << 15
+"""Stamps that are worked on at once: as many as the processor keeps at hand."""
 
 
 class SteadyClock(NamedTuple):
@@ -93,8 +98,9 @@ def steady_clock(stamps: Array, name: str) -> SteadyClock:
         if found is not None:
             order = found
             interval, start, departure = _fitted(order, stamps)
-    repeated = int(np.count_nonzero(steps == 0))
-    resolution = float(np.min(steps[steps > 0]))
+    shortest = float(np.min(steps))
+    repeated = 0 if shortest > 0 else int(np.count_nonzero(steps == 0))
+    resolution = float(np.min(steps[steps > 0])) if repeated else shortest
     rounded = departure > 1.0 and repeated > 0 and departure * interval <= resolution
     remarks = []
     if rounded:
@@ -157,6 +163,8 @@ def _checked_steps(stamps: Array, name: str) -> Array:
         row = int(np.flatnonzero(~np.isfinite(stamps))[0]) + 1
         raise FitError(f"{name}: the time of sample {row} is not a number")
     steps: Array = np.diff(stamps)
+    if float(np.min(steps)) > 0:
+        return steps
     wrong = steps < 0 if (steps > 0).any() else steps <= 0
     if wrong.any():
         row = int(np.flatnonzero(wrong)[0]) + 2
@@ -169,12 +177,19 @@ def _checked_steps(stamps: Array, name: str) -> Array:
 
 def _fitted(index: NDArray[np.intp], stamps: Array) -> tuple[float, float, float]:
     """Fit stamps = start + interval * index by least squares; return interval [s], start [s], largest departure."""
-    centred = index - index.mean()
-    # Stamps less their mean keep microseconds where the clock counts from long ago.
-    interval = float(centred @ (stamps - stamps.mean()) / (centred @ centred))
-    start = float(stamps.mean() - interval * index.mean())
-    departure = float(np.max(np.abs(stamps - stamps.mean() - interval * centred))) / interval
-    return interval, start, departure
+    middle, mean = float(index.mean()), float(stamps.mean())
+
+    def pieces() -> Iterator[tuple[Array, Array]]:
+        """Both less their means, some at a time: memory is slower than all that is done with them."""
+        # Stamps less their mean keep microseconds where the clock counts from long ago.
+        for first in range(0, index.size, AT_ONCE):
+            some = slice(first, first + AT_ONCE)
+            yield index[some] - middle, stamps[some] - mean
+
+    across, own = np.sum([(row @ stamp, row @ row) for row, stamp in pieces()], axis=0)
+    interval = float(across / own)
+    departure = max(float(np.max(np.abs(stamp - interval * row))) for row, stamp in pieces()) / interval
+    return interval, mean - interval * middle, departure
 
 
 def _rows_with_gaps(stamps: Array, steps: Array, name: str) -> NDArray[np.intp] | None:
