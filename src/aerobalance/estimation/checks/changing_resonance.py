@@ -38,7 +38,8 @@ class ChangingSettings:
         Probability that stretches of one resonance look by chance as if each had its own, from which on they are
         looked at one by one. Of 40 records that change by 0.7 or 1 % halfway each that was named had at most 0.15.
     moved
-        The same for a stretch by itself and the dynamics that are expected, from which on it is looked at.
+        The same for a stretch by itself and the dynamics that are expected, from which on it is looked at: a gain of
+        6.9. Of 80 stretches that were found to have others, with a gain of 10 or more in all, none had less than 10.1.
     band, ordinates
         Width of a band of the spectrum over its frequency, and ordinates that it has at least.
     about
@@ -59,7 +60,7 @@ class ChangingSettings:
     periods: float = 300.0
     samples: int = 4096
     apart: float = 0.2
-    moved: float = 0.02
+    moved: float = 0.001
     band: float = 0.01
     ordinates: int = 8
     about: int = 12
