@@ -272,7 +272,7 @@ def test_density_and_load_of_a_tail(rng):
         [5, 2, 0.5 * 1.001**-4, 0.5 / 16, 0.5 / 9**4]
     )
     assert tail.parameters == 6
-    assert str(tail) == "spectrum of 2 segment(s), falling from 100 Hz as the power 4 of frequency"
+    assert str(tail) == "spectrum of 2 bands, each of one level, falling from 100 Hz as the power 4 of frequency"
     level = replace(tail, tail=None)
     far = periodogram.frequency > 200  # the window sees nothing there of what is below the edge
     fall = (periodogram.frequency[far] / 100) ** -4
@@ -412,7 +412,7 @@ def test_density_of_segments_and_roll_off():
     smooth = Spectrum(np.array([np.inf]), np.array([8.0]), (50.0, 2.0, 3.0))
     assert smooth.density(np.array([0.0, 50.0])) == pytest.approx([8.0, 1.0])
     assert str(Spectrum(np.zeros(0), np.zeros(0))) == "no fluctuating force"
-    assert "2 segment(s) up to 20 Hz" in str(steps)
+    assert "2 bands, each of one level, up to 20 Hz" in str(steps)
     assert "power 6" in str(smooth)
 
 

@@ -193,10 +193,10 @@ def _assumed_texts(result: Result) -> list[str]:
 
 
 def _steps_text(name: str, found: Result) -> list[str]:
-    """Steps of the force, the largest first, with instant and height."""
+    """The largest steps of the force with instant and height, as they came."""
     steps = sorted(found["steps"], key=lambda step: -abs(step["height"]))
     lines = []
-    for step in steps[:SHOWN_STEPS]:
+    for step in sorted(steps[:SHOWN_STEPS], key=lambda step: step["instant"]):
         height, u_height = rounded(step["height"], step["u_height"])
         instant, u_instant = rounded(step["instant"], step["u_instant"])
         lines.append(f"step of {name}: {height} {found['unit']} (u = {u_height}) at {instant} s (u = {u_instant})")

@@ -9,7 +9,15 @@ from typing import Any, Final
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from aerobalance.app.reports.page import PLACE_HOLDERS, empty_figure, inline, legend, write_page
+from aerobalance.app.reports.page import (
+    PLACE_HOLDERS,
+    empty_figure,
+    inline,
+    legend,
+    legend_above,
+    power_of_ten,
+    write_page,
+)
 from aerobalance.dynamics.modal import ModalModel
 from aerobalance.io.artefacts import provenance
 from aerobalance.recording.channel import Array
@@ -153,11 +161,10 @@ def comparison_figure(
             bottom.semilogy(time, error, color=colour, linewidth=wide)
     ends = _limits(reference[window], [row.values[window] for row, _, _ in lines])
     top.set(ylabel=f"{dynamics.component} [{unit}]", ylim=ends)
-    legend(top, colours, "lower center", columns=3)
-    top.get_legend().set_bbox_to_anchor((0.5, 1.0))  # type: ignore[union-attr]
+    legend_above(figure, top, colours, columns=3)
     words = "error" if truth is not None else f"apart from\n{THIS}"
     bottom.set(ylabel=f"{words},\nrms over a period [{unit}]", xlabel="time [s]", xlim=(time[0], time[-1]))
-    bottom.yaxis.set_major_formatter(lambda value, _: f"{value:g}")  # powers would need mathematical type
+    bottom.yaxis.set_major_formatter(power_of_ten)
     figure.align_ylabels()
     return inline(figure, "baselines", "The force by baseline methods and by this estimator, and their errors below")
 

@@ -9,7 +9,15 @@ from typing import Any
 import numpy as np
 
 from aerobalance.app.reports.force_curves import ForceCurves
-from aerobalance.app.reports.page import PLACE_HOLDERS, empty_figure, inline, legend, write_page
+from aerobalance.app.reports.page import (
+    PLACE_HOLDERS,
+    empty_figure,
+    inline,
+    legend,
+    legend_above,
+    power_of_ten,
+    write_page,
+)
 from aerobalance.dynamics.balance_dynamics import BalanceDynamics
 from aerobalance.dynamics.independent import IndependentDynamics
 from aerobalance.estimation.display import COVERAGE_FACTOR
@@ -161,11 +169,14 @@ def spectrum_figure(summary: ForceSummary, shown: ForceCurves, *, rate: float) -
             linewidth=0,
             label=label,
         )
-    ax.plot(frequency[inner], np.maximum(force, least), color=colours.second, linewidth=1.4, label="force applied")
-    ax.axvline(max(summary.bandwidth, float(frequency[1])), color=colours.muted, linewidth=0.8, linestyle=":")
+    resolved = max(summary.bandwidth, float(frequency[1]))
+    known = np.where(frequency[inner] <= resolved, np.maximum(force, least), np.nan)
+    ax.plot(frequency[inner], np.maximum(force, least), color=colours.second, linewidth=0.7, linestyle="--")
+    ax.plot(frequency[inner], known, color=colours.second, linewidth=1.4, label="force applied")
+    ax.axvline(resolved, color=colours.muted, linewidth=0.8, linestyle=":")
     ax.set(xlabel="frequency [Hz]", ylabel=f"density [{unit}]", ylim=(least * 0.8, 3 * highest))
-    ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}")  # powers would need mathematical type
-    ax.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    ax.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    ax.yaxis.set_major_formatter(power_of_ten)
     legend(ax, colours, "lower left")
     name = summary.component
     return inline(figure, f"spectrum-{name}", f"Spectra of balance load and force applied of {name}")
@@ -186,7 +197,6 @@ def budget_figure(summary: ForceSummary) -> str:
     ax.set(xlabel=f"standard uncertainty, rms over the record [{unit}]", xlim=(0, 1.08 * whole or 1.0))
     ax.invert_yaxis()
     ax.grid(visible=False, axis="y")
-    legend(ax, colours, "lower center", columns=3)
-    ax.get_legend().set_bbox_to_anchor((0.5, 1.0))  # type: ignore[union-attr]
+    legend_above(figure, ax, colours, columns=3)
     name = summary.component
     return inline(figure, f"budget-{name}", f"Uncertainty budget of {name}")

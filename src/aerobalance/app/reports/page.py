@@ -6,6 +6,7 @@ Figures are drawn once, in place-holder colours that the page turns into the rea
 from __future__ import annotations
 
 import io
+import math
 import re
 import warnings
 from collections.abc import Mapping, Sequence
@@ -92,6 +93,24 @@ def empty_figure(
 def legend(axes: Axes, colours: Palette, place: Any, *, columns: int = 1) -> None:
     """Add a legend in the page's style."""
     axes.legend(loc=place, ncols=columns, labelcolor=colours.ink, frameon=False, fontsize=9)
+
+
+def legend_above(figure: Figure, axes: Axes, colours: Palette, *, columns: int) -> None:
+    """Add a legend above the axes, across the whole figure: names beside narrow axes need the room on their left."""
+    figure.legend(
+        *axes.get_legend_handles_labels(),
+        loc="outside upper center",
+        ncols=columns,
+        labelcolor=colours.ink,
+        frameon=False,
+        fontsize=9,
+    )
+
+
+def power_of_ten(value: float, _place: int | None = None) -> str:
+    """A number as a power of ten for an axis of them, such as 10⁻⁴; powers in mathematical type need a font more."""
+    exponent = round(math.log10(value)) if value > 0 else 0
+    return "10" + str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def inline(figure: Figure, name: str, label: str) -> str:

@@ -82,8 +82,8 @@ class Spectrum:
             return "no fluctuating force"
         if self.tail is not None:
             start = f"{self.edges[-2]:.4g} Hz as the power {self.tail:.3g} of frequency"
-            return f"spectrum of {filled.size - 1} segment(s), falling from {start}"
-        return f"spectrum of {filled.size} segment(s) up to {self.edges[filled[-1]]:.4g} Hz"
+            return f"spectrum of {_bands_of_one_level(filled.size - 1).rstrip(',')}, falling from {start}"
+        return f"spectrum of {_bands_of_one_level(filled.size)} up to {self.edges[filled[-1]]:.4g} Hz"
 
     def density(self, frequency: Array) -> Array:
         """Density at frequencies [Hz], [N^2/Hz]."""
@@ -355,6 +355,11 @@ class _Ordinates:
     def mean(self, values: Array) -> Array:
         """Mean of ordinates (n,) over each average, shape (m,)."""
         return np.asarray(np.add.reduceat(values, self.edges) / self.count)
+
+
+def _bands_of_one_level(count: int) -> str:
+    """So many segments, in words."""
+    return "one band of one level" if count == 1 else f"{count} bands, each of one level,"
 
 
 def averages_for(models: Sequence[ModalModel], samples: int, interval: float) -> NDArray[np.int64]:
