@@ -137,8 +137,10 @@ class White:
         """The same with the first shape growing along the record: white readings remember but a part of it."""
         count, shapes = felt[0].shape
         ramp, rows = ramp_of(count), np.empty((shapes + 1, count))
-        found = np.empty((length_of(count) // 2 + 1, len(felt), shapes + 1), dtype=np.complex128)
+        found = np.zeros((length_of(count) // 2 + 1, len(felt), shapes + 1), dtype=np.complex128)
         for place, own in enumerate(felt):
+            if not own.any():
+                continue  # the channel does not move along it
             rows[:-1] = self.placed(own, place).T
             np.multiply(ramp, rows[0], out=rows[-1])
             found[:, place] = lines_of(rows.T)
