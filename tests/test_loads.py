@@ -886,3 +886,23 @@ def test_the_variance_by_drift_is_its_mean_over_all_that_is_possible(kind: int, 
     expected = [variance_by_integration(means) for means in batch_means(table).T]
     np.testing.assert_allclose(variance_of_drift(table), expected, rtol=0.02)
     assert (variance_of_drift(np.full((100, 2), 0.1)) < 1e-30).all()
+
+
+def test_natural_zeros_that_were_left_in_the_outputs_are_told(balance: BalanceMatrix, rng) -> None:
+    """Outputs said to be less their zero that lie at the natural zeros; and no word of such as are less it."""
+    natural = rng.uniform(0.1, 0.3, 6)
+    known = replace(balance, natural_zero=natural)
+    native = 0.05 * swinging(2000, rng)
+    own = known.loads(natural[None, :]).loads[0]
+    expected = np.abs(in_direct(balance, own[None, :])[0])
+
+    def reduced(outputs: Array) -> Loads:
+        return reduce_outputs(recorded(outputs), known, zero=Zero([], model_on=False))
+
+    with pytest.warns(DataQualityWarning, match="none was taken off"):
+        left = reduced(balance.outputs(native) + natural)
+    told = {doubt.component: doubt.effect for doubt in left.doubts if doubt.kind == "zero"}
+    assert told == pytest.approx(dict(zip(left.components, expected, strict=True)))
+    assert dict(left.recording.zeros_left) == pytest.approx(told)
+    off = reduced(balance.outputs(native))
+    assert not [doubt for doubt in off.doubts if doubt.kind == "zero"]

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.balance.matrix import BalanceMatrix
-from aerobalance.balance.zeros import MOVED_IN_RANGE, GaugeZero
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.doubts import Doubt
@@ -318,44 +317,6 @@ def check_rows(recording: Recording, balance: BalanceMatrix, channels: Sequence[
             "points at several loads, it is far too large, and the uncertainty with it: say the noise of a row in a "
             'channel map (noise = ... under [channels.rNAME], with "aerobalance map")'
         )
-
-
-def doubts_of_zero(zero: GaugeZero, components: Sequence[str], slope: Array) -> Iterator[Doubt]:
-    """What zeros say against loads that change with the gauge outputs by a slope, shape (c, c) [N V/mV]."""
-    units = [si_unit(name) if name in COMPONENTS else "N" for name in components]
-    known: list[tuple[Array, str, str]] = []
-    if zero.moved.any():
-        text = "moves while it is read, more than bridges drift, by {}: it is no zero, or the wind was on"
-        known.append((np.abs(slope) @ zero.moved, text, "give a record of the balance at rest"))
-    if zero.differ.any():
-        text = "are zeros that differ by more than bridges drift; their mean is taken, which may be off by {}"
-        known.append((np.abs(slope) @ zero.differ, text, "give the zero that belongs to the run"))
-    if zero.drifted:
-        text = (
-            "and the zero after the run differ by more than bridges drift; it is taken as a steady change, and a jump "
-            "leaves {}"
-        )
-        left = np.abs(slope @ zero.drift) / np.sqrt(12)  # rms of a jump in the middle of the run from a straight line
-        known.append((left, text, "look for a contact, a loose part or a cable that moved"))
-    for name, one in zero.from_natural.items():
-        if one.of_range > MOVED_IN_RANGE[1] and name in components:
-            unit = units[list(components).index(name)]
-            yield Doubt(
-                "zero",
-                name,
-                f"{zero.source} lies {abs(one.load):.3g} {unit} of {name} ({100 * one.of_range:.2g} % of range) from "
-                "the natural zeros of the calibration, beyond the weight: it is of another day, the bridge has moved "
-                "since the calibration, or what hung on the balance is not what is known of it",
-                "take a zero anew just before the run, or weigh the model",
-                None,
-                unit,
-            )
-    for effects, text, advice in known:
-        sizes = ", ".join(
-            f"{size:.3g} {unit} of {name}" for size, unit, name in zip(effects, units, components, strict=True)
-        )
-        for name, unit, effect in zip(components, units, effects.tolist(), strict=True):
-            yield Doubt("zero", name, f"{zero.source} {text.format(sizes)} (rms)", advice, effect, unit)
 
 
 def stuck_outputs(channels: Sequence[Channel], balance: BalanceMatrix) -> NDArray[np.bool_]:

@@ -291,5 +291,14 @@ def with_loads(recording: Recording, felt: Loads) -> Recording:
         gains_stated=recording.gains_stated or stated,
         declared=declared,
         zero_from_natural={name: one.load for name, one in felt.zero.from_natural.items() if one.of_range > REPEATS},
+        zeros_left=dict(zip(felt.components, np.abs(felt.transform @ natural_loads(felt)).tolist(), strict=True)),
         zero_repeats=repeats,
     )
+
+
+def natural_loads(felt: Loads) -> Array:
+    """Loads of the calibration's natural zeros where none is taken off, in the balance's components, (c,) [N, N*m]."""
+    natural = felt.balance.natural_zero
+    if natural is None or not felt.zero.is_nothing:
+        return np.zeros(len(felt.balance.components))
+    return np.asarray(np.nan_to_num(felt.balance.loads(natural[None, :]).loads[0]))

@@ -26,13 +26,13 @@ from aerobalance.balance.load_checks import (
     doubts_of_bridges,
     doubts_of_limits,
     doubts_of_size,
-    doubts_of_zero,
     lost_texts,
     stuck_outputs,
 )
 from aerobalance.balance.load_formats import FORM_MOMENTS, FORMS, Form, between_forms
 from aerobalance.balance.loads import Loads, Tare, with_loads
 from aerobalance.balance.matrix import BalanceMatrix
+from aerobalance.balance.zero_checks import doubts_of_no_zero, doubts_of_zero
 from aerobalance.balance.zeros import SAY_HOW_READ, GaugeZero, gauge_table
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import FitError, warn_quality
@@ -151,6 +151,7 @@ def loads_of_outputs(
         ready=tare is None and (zero.model_on is False or bool(zero.weight.any())),
         doubts=(
             *doubts_of_zero(zero, components, slope),
+            *doubts_of_no_zero(zero, table, balance, components, T),
             *doubts_of_size(table, balance, components),
             *doubts_of_limits([one.values for one in read], stuck | clipped, balance, components),
             *doubts_of_bridges(outputs, native, balance, components, sensitivity=middle),

@@ -117,6 +117,11 @@ class GaugeZero:
         nothing = np.zeros(len(balance.components))
         return cls(nothing, nothing, "none: outputs as they are", nothing, model_on=False)
 
+    @property
+    def is_nothing(self) -> bool:
+        """Whether outputs are taken as they are."""
+        return not self.values.any()
+
 
 @dataclass(frozen=True, slots=True, eq=False, init=False)
 class Zero:

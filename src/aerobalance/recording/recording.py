@@ -56,6 +56,9 @@ class Recording:
     zero_from_natural
         How far the zero that the loads count from lies from the natural zeros of the balance's calibration, beyond
         the weight, by component [N, N*m]; empty where that is not known.
+    zeros_left
+        What the bridges' natural zeros would be as loads, by component [N, N*m], where the gauge outputs were taken as
+        less their zero already; empty where they were not.
     zero_repeats
         How far zeros differ that are as good as a balance repeats, by component [N, N*m], where no zero was read after
         the run; empty where one was, or where the loads were not worked out from gauge outputs.
@@ -82,6 +85,7 @@ class Recording:
     from_outputs: bool = False
     gains_stated: bool = False
     zero_from_natural: Mapping[str, float] = field(default_factory=dict)
+    zeros_left: Mapping[str, float] = field(default_factory=dict)
     zero_repeats: Mapping[str, float] = field(default_factory=dict)
     extent: Extent = field(default_factory=Extent)
     declared: frozenset[str] = frozenset()

@@ -107,7 +107,7 @@ def legend_above(figure: Figure, axes: Axes, colours: Palette, *, columns: int) 
     )
 
 
-def power_of_ten(value: float, _place: int | None = None) -> str:
+def power_of_ten(value: float, _place: float = 0.0) -> str:
     """A number as a power of ten for an axis of them, such as 10⁻⁴; powers in mathematical type need a font more."""
     exponent = round(math.log10(value)) if value > 0 else 0
     return "10" + str(exponent).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))

@@ -180,6 +180,13 @@ def _of_zero(recording: Recording, fit: SmootherResult, name: str, *, least: flo
             "change the force by {}"
         )
         yield _told("zero drift", name, text, repeats, unit)
+    left = recording.zeros_left.get(name, 0.0)
+    if left > least:
+        text = (
+            f"the gauge outputs are less their zero already ({argument('zero')}), so that none is taken off: with "
+            f"zeros as those of the calibration still in them {name} would be off by {{}}"
+        )
+        yield _told("zero", name, text, left, unit)
     steady = SETTINGS.drift * float(np.max(np.abs(fit.reading.filled), initial=0.0)) / float(np.sqrt(3))
     if not recording.from_outputs and steady > least:
         text = (
