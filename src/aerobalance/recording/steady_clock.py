@@ -184,7 +184,7 @@ def _fitted(index: NDArray[np.intp], stamps: Array) -> tuple[float, float, float
         # Stamps less their mean keep microseconds where the clock counts from long ago.
         for first in range(0, index.size, AT_ONCE):
             some = slice(first, first + AT_ONCE)
-            yield index[some] - middle, stamps[some] - mean
+            yield np.asarray(index[some] - middle, dtype=np.float64), stamps[some] - mean
 
     across, own = np.sum([(row @ stamp, row @ row) for row, stamp in pieces()], axis=0)
     interval = float(across / own)

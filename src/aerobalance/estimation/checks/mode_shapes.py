@@ -40,6 +40,7 @@ from aerobalance.estimation.result import ComponentForce, with_errors
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import DOUBTED, Assumption, Doubt
+from aerobalance.recording.side_by_side import side_by_side
 
 ADVICE: Final = "identify the dynamics again"
 """What to do where the modes are others."""
@@ -113,15 +114,16 @@ def other_shapes(ringing: RingingSpectra, dynamics: CoupledDynamics, *, far: boo
     # is less likely there than what is known, by a factor e^-a, happens at most that often (Markov's inequality)
     rings = ringing.about([mode.natural_frequency for mode in dynamics.modes])
     there = rings[ringing.bands]
-    gains = []
     price = [SETTINGS.second * (kind == "swapped sign" and len(places) == 2) for kind, places, _ in exchanged]
-    for _, _, rows in exchanged:
+
+    def gain_with(rows: Rows) -> float:
         found = ringing.evidence_apart(rows, determinant=volume, told=ringing.shown & rings)
         if float(np.sum((found - apart)[there])) < -SETTINGS.decisive:
-            gains.append(-np.inf)
-            continue
+            return -np.inf
         found += ringing.evidence_apart(rows, determinant=volume, told=ringing.shown & ~rings)
-        gains.append(-np.inf if contradicted(found, apart) else gain_of(found, apart))
+        return -np.inf if contradicted(found, apart) else gain_of(found, apart)
+
+    gains = side_by_side(gain_with, [rows for _, _, rows in exchanged])
     known = ringing.evidence(own, determinant=volume)
     if max(gains) > SETTINGS.decisive:  # or what they explain is noise that is not white, or forces of one load
         known = np.maximum(known, ringing.evidence_with_color(own, determinant=volume))
@@ -280,6 +282,8 @@ def _by_shapes(
     # of a component in which no force was found its uncertainty is what there is
     known = [np.mean(parts[name].values ** 2) + np.mean(parts[name].uncertainty ** 2) for name in names]
     relative = size / np.sqrt(np.maximum(known, 1e-300))
+    # what one part leaves open is in its uncertainty: of the whole record it is told where it matters there
+    matters = relative / np.sqrt(_parts_of_whole(record)) > TOLD
     told = other.places or (int(np.argmax(relative)),)
     found = {}
     for place, name in enumerate(names):
@@ -287,7 +291,7 @@ def _by_shapes(
         period = 1 / record.decoupled[place].dynamics.natural_frequency
         error = as_noise(errors[:, place], name=name_of_error, period=period, interval=interval)
         part = with_errors(part, error)
-        if place in told and (other.probability == 1 or relative[place] > TOLD):
+        if place in told and (other.probability == 1 or matters[place]):
             text, advice = _words(other, dynamics)
             since = f" (at the end of the record, not up to {record.recording.start + first * interval:.4g} s)"
             text = f"{text}{since if first else ''}"
@@ -364,6 +368,12 @@ def _frequencies_assumed(
     return found
 
 
+def _parts_of_whole(record: CoupledRecord) -> float:
+    """How many times as long as this record the whole is that it is a part of [1]."""
+    extent = record.recording.extent
+    return 1 / (extent.end - extent.begin)
+
+
 def _between_gaps(record: CoupledRecord) -> slice:
     """The longest stretch of a record without a gap of more than a period of the lowest mode.
 
@@ -404,7 +414,9 @@ def _spoken(
     other = other_shapes(ringing, record.dynamics, far=far)
     if other is None:
         first = int(within.start)
-        shown = moved_by_motion(ringing, record.dynamics) or moved_alone(ringing, record.dynamics)
+        shown = moved_by_motion(ringing, record.dynamics) or moved_alone(
+            ringing, record.dynamics, parts=_parts_of_whole(record)
+        )
         return shown or one_moved(ringing, record, parts, readings, first=first)
     # a tone is narrower than any resonance, and looks like one that is elsewhere
     above = SETTINGS.tones_above * record.dynamics.modes[0].natural_frequency * record.interval

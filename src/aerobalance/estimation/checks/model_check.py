@@ -43,6 +43,7 @@ from aerobalance.estimation.steps import Step, columns_of
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import DOUBTED
+from aerobalance.recording.side_by_side import side_by_side
 
 DYNAMICS: Final = ("natural frequency", "damping ratio", "missing mode")
 """Kinds of doubt about the dynamics."""
@@ -89,7 +90,7 @@ def checked(force: Force) -> Force:
         parts |= {name: _named_only(part) if sure else part for name, part in otherwise.items()}
         # what rings otherwise leaves peaks everywhere
         decoupled = {} if sure else record.component_records(filled)
-        peaks = list(chain(*(peaks_of(one, **known(one)) for one in decoupled.values())))
+        peaks = list(chain(*side_by_side(lambda one: peaks_of(one, **known(one)), decoupled.values())))
         turning = turning_by_angles(force.recording, record.dynamics, force)
         for doubt in [*peak_doubts(peaks, record.dynamics.modes), *turning]:
             part = parts[doubt.component]

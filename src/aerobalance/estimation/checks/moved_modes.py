@@ -30,6 +30,7 @@ from aerobalance.estimation.record import FEWEST_SAMPLES
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.spectra.steady_tones import without_tones
 from aerobalance.recording.channel import Array
+from aerobalance.recording.side_by_side import side_by_side
 
 
 @dataclass(frozen=True, slots=True)
@@ -208,7 +209,7 @@ def moved_together(
     shifts = [(sign * size, 0.0) for size in sizes for sign in (-1, 1)]
     shifts += [(0.0, float(np.log(factor))) for factor in SETTINGS.dampings]
     tried = [own.by(everything, np.array(step)) for step in shifts]
-    evidence = [seen_with(one) for one in tried]
+    evidence = side_by_side(seen_with, tried)
     gains = [gain_of(one, known) for one in evidence]
     if max(gains) < 0.5 * least and max(gain_apart(one, known) for one in evidence) < 0.5 * SETTINGS.open_from:
         return None
@@ -259,47 +260,61 @@ def closer(evidence: Evidence, before: Moved, place: int | slice, first: Moved) 
     return before.by(place, start + best.x * size)
 
 
-def moved_alone(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherShapes | None:
+def moved_alone(ringing: RingingSpectra, dynamics: CoupledDynamics, *, parts: float = 1.0) -> OtherShapes | None:
     """Return the one mode that has moved, where that is likelier than a narrow band of any load there; or None.
 
     Rows that take out a ringing that is not there take as much of the force, and what rings elsewhere swings in all
     forces in the proportions of the mode. A narrow band of the load makes one force swing as much as a mode elsewhere
     does, and leaves no hole. Where one load acts in all, as a gust or a release, a mode elsewhere adds a second one.
+
+    Parameters
+    ----------
+    ringing
+        The spectra of the record.
+    dynamics
+        The dynamics that it was read with.
+    parts
+        Parts of a longer record of which this is one: chance has as many tries.
     """
     if dynamics.internal or len(dynamics.modes) != len(dynamics.components):
         return None
     own = Moved.none(dynamics)
-    found: list[OtherShapes] = []
-    for place, mode in enumerate(dynamics.modes):
+
+    def found_of(place: int) -> OtherShapes | None:
+        mode = dynamics.modes[place]
         about = ringing.near(mode.natural_frequency, within=SETTINGS.alone_about)
         if about is None:
-            continue
+            return None
         evidence = partial(evidence_of, about)
         known = evidence(own)
 
-        def gain_of_one(moved: Moved, evidence: Evidence = evidence, known: Array = known) -> float:
+        def gain_of_one(moved: Moved) -> float:
             return float(np.sum(evidence(moved) - known))
 
         shifts = [sign * size for size in SETTINGS.alone_shifts for sign in (-1, 1)]
         tried = [own.by(place, np.array([shift, 0.0])) for shift in shifts]
         gains = [gain_of_one(one) for one in tried]
         if max(gains) < 0.5 * SETTINGS.alone_least:
-            continue
+            return None
         moved = closer(evidence, own, place, tried[int(np.argmax(gains))])
         shift, damping = moved.changes[place]
         between = np.abs(np.log(about.frequency / mode.natural_frequency)) < 2 * abs(shift)
         resolved = np.count_nonzero(between) >= SETTINGS.alone_fewest
         clear = resolved and float(np.mean((about.shown & about.clear)[between])) >= SETTINGS.alone_clear
         if not clear or abs(damping) >= SETTINGS.as_damped or gain_of_one(moved) < SETTINGS.alone_least:
-            continue
+            return None
         gain = (
             gain_of_one(moved)
             if about.together
             else gain_over_loads(about, moved.rows, mode.natural_frequency, least=SETTINGS.alone_open_from)
         )
-        if gain >= SETTINGS.alone_open_from:
-            likely = 1.0 if gain >= SETTINGS.alone_decisive else float(expit(gain - SETTINGS.alone_half))
-            found.append(OtherShapes("natural frequency", (), moved.rows, gain, moved, likely))
+        gain -= float(np.log(parts))
+        if gain < SETTINGS.alone_open_from:
+            return None
+        likely = 1.0 if gain >= SETTINGS.alone_decisive else float(expit(gain - SETTINGS.alone_half))
+        return OtherShapes("natural frequency", (), moved.rows, gain, moved, likely)
+
+    found = [one for one in side_by_side(found_of, range(len(dynamics.modes))) if one is not None]
     return max(found, key=lambda one: one.gain, default=None)
 
 

@@ -28,6 +28,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.estimation.checks._covariance_kernels import likeliest_covariances
 from aerobalance.estimation.checks._level_kernels import ForceLines, likeliest_levels, likeliest_levels_and_noise
 from aerobalance.estimation.checks.channel_rows import Rows, powers_of, product_of_modes
@@ -40,6 +41,7 @@ from aerobalance.estimation.spectra.steady_tones import without_tones
 from aerobalance.estimation.spectra.windows import HANN_BANDWIDTH, leaked_from
 from aerobalance.recording.channel import Array
 from aerobalance.recording.fourier import hann
+from aerobalance.recording.side_by_side import side_by_side
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,11 +214,12 @@ class RingingSpectra:
         bands = _bands(last - 2)
         window = hann(count)
         window = window * np.sqrt(interval / float(np.sum(window**2)))
-        gains, forces, over = [], [], []
         inside, channels = slice(2, last), loads.shape[1]
         lines = np.empty((channels, record.decoupled[0].row.shape[1], channels, last - 2), dtype=np.complex128)
         of_ground = np.empty((channels, last - 2), dtype=np.complex128) if shaken else None
-        for one, own in zip(record.decoupled, lines, strict=True):
+
+        def seen_of(one: DecoupledChannel) -> tuple[Array, Array, Array]:
+            """Power of a component's force, that of the product of its modes, and its gain; its lines are kept."""
             powers = powers_of(one, whole, interval=interval)
             seen = Periodogram.of(loads[:, one.place], one.dynamics, interval=interval)
             product = product_of_modes(one, seen.ordinates[0, : last - 2])
@@ -227,10 +230,11 @@ class RingingSpectra:
                 known = np.fft.rfft(motion * window)
                 force = force - known
                 of_ground[one.place] = known[inside] * product
-            forces.append(np.abs(force) ** 2)
-            np.multiply(driven[..., inside], product, out=own)
-            over.append(np.abs(product) ** 2)
-            gains.append(seen.ordinates[2, : last - 2] * over[-1])
+            np.multiply(driven[..., inside], product, out=lines[one.place])
+            over = np.abs(product) ** 2
+            return np.abs(force) ** 2, over, seen.ordinates[2, : last - 2] * over
+
+        forces, over, gains = zip(*side_by_side(seen_of, record.decoupled), strict=True)
         frequency = np.arange(2, last) * step
         noise = np.array([parts[name].noise for name in record.dynamics.components]) ** 2 * interval
         read = np.abs(np.fft.rfft(loads * window[:, None], axis=0).T) ** 2

@@ -166,10 +166,10 @@ class Periodogram:
         would take a tenth of the time of a fit.
         """
         found = blake2b(repr((self.interval, self.input_density, self.even)).encode(), digest_size=16)
-        for part in (self.frequency, self.density, self.gain, self.weight, self.folded_gain, self.edges):
-            found.update(np.ascontiguousarray(part))
-        for part in (self.ordinates, self.color, self.counted):
-            found.update(b"none" if part is None else np.ascontiguousarray(part.sum(axis=-1)))
+        for averages in (self.frequency, self.density, self.gain, self.weight, self.folded_gain, self.edges):
+            found.update(averages.tobytes())
+        for every in (self.ordinates, self.color, self.counted):
+            found.update(b"none" if every is None else np.asarray(every.sum(axis=-1)).tobytes())
         return found.digest()
 
     @property
