@@ -112,11 +112,12 @@ def _doubts(
         doubt = Doubt(f"{kind} {what}", component, text, advice, by_delay, unit)
         yield doubt, _as_error(doubt, fault, own)
     if by_gain > least:
+        either = f"{name} or of {component}" if single else name  # of several, a wrong one of them shows by itself
         text = (
             f"{shown} {1 + fault.gain:.4g} times (u = {fault.u_gain:.2g}) what {name} reads: another gain, "
-            f"unit or sign of {name} or another mass than that of the dynamics, {cause}"
+            f"unit or sign of {either}, or another mass than that of the dynamics, {cause}"
         )
-        advice = f"check sensitivity, unit and sign of {name}, and the mass"
+        advice = f"check sensitivity, unit and sign of {either}, and the mass"
         doubt = Doubt(f"{kind} gain", component, text, advice, float(effects[1]), unit)
         yield doubt, _as_error(doubt, fault, errors[:, [1]])
 
