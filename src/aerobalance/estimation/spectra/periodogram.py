@@ -166,8 +166,8 @@ class Periodogram:
         would take a tenth of the time of a fit.
         """
         found = blake2b(repr((self.interval, self.input_density, self.even)).encode(), digest_size=16)
-        for averages in (self.frequency, self.density, self.gain, self.weight, self.folded_gain, self.edges):
-            found.update(averages.tobytes())
+        for averaged in (self.frequency, self.density, self.gain, self.weight, self.folded_gain, self.edges):
+            found.update(averaged.tobytes())
         for every in (self.ordinates, self.color, self.counted):
             found.update(b"none" if every is None else np.asarray(every.sum(axis=-1)).tobytes())
         return found.digest()
