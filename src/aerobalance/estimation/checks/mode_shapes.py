@@ -345,8 +345,10 @@ def _frequencies_assumed(
         return {}
     others = [own.by(slice(None), np.array([sign * ASSUMED.frequency, 0.0])) for sign in (1, -1)]
     forces = np.column_stack([parts[name].values for name in dynamics.components])
-    motion = net_load(record.platform, dynamics)  # the balance reads it as it reads the forces
-    size = _by_others(forces + motion - motion.mean(axis=0), dynamics, others[0].moved, interval=record.interval)
+    if dynamics.mass is not None:  # the balance reads the motion's force as it reads the others
+        motion = net_load(record.platform, dynamics)
+        forces = forces + motion - motion.mean(axis=0)
+    size = _by_others(forces, dynamics, others[0].moved, interval=record.interval)
     least = [ASSUMED.matters * float(np.sqrt(np.mean(parts[name].uncertainty ** 2))) for name in dynamics.components]
     if not (size > least).any():
         return {}
