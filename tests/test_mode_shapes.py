@@ -328,6 +328,26 @@ def test_the_response_to_the_ground_s_motion_tells_moved_modes(place, change, rn
     assert sum(named) >= trials(1, 3 if isinstance(place, slice) else 1)
 
 
+@pytest.mark.parametrize(("seed", "highest"), [(1, 200.0), (43, 150.0), (41, 150.0)])
+@pytest.mark.soak(first=1)
+def test_a_channel_of_another_gain_is_not_taken_for_moved_modes(seed, highest) -> None:
+    """5 % of the gain of one: a mode moved by up to 21 % took it away, and with it the channel's doubt (2.8 u)."""
+    record = shaken(np.random.default_rng(seed), highest=highest).with_gain("ground_acceleration_z", 0.95).used
+    force = record.force
+    assert {doubt.kind for doubt in force.doubts} == {"ground gain"}
+    assert max(record.ratios(force).values()) < 1.2
+
+
+def test_a_late_channel_stays_doubted_beside_moved_modes() -> None:
+    """What is left of the motion is too little for the spectra: without the delay u was an eighth of the error."""
+    made = shaken(np.random.default_rng(5), motion=0.5)
+    other = Moved.none(made.dynamics).by(slice(None), np.array([np.log(1.05), 0.0])).moved
+    record = replace(made, dynamics=other).with_late("ground_acceleration_z", 6e-3).used
+    force = record.force
+    assert {doubt.kind for doubt in force.doubts} == {"ground delay", "natural frequency"}
+    assert max(record.ratios(force).values()) < 1.2
+
+
 @pytest.mark.parametrize("highest", [40.0, 200.0])
 @pytest.mark.soak(first=1)
 def test_the_response_of_sound_modes_to_the_ground_s_motion_moves_none(highest, rng) -> None:

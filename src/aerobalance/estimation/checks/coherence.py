@@ -30,4 +30,6 @@ def excess_of_coherence(
     coherence = np.minimum(cross / np.maximum(powers, 1e-300), 1 - 1e-12)
     # by chance m numbers have -(m - 1) log(1 - coherence) distributed exponentially, with a mean of 1
     excess = -(counts - 1) * np.log1p(-coherence) - 1
+    if not excess.size:
+        return 0.0
     return float(np.sum(excess) / np.sqrt(excess.size))

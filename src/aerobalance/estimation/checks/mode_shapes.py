@@ -19,7 +19,7 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.assumptions import SETTINGS as ASSUMED
 from aerobalance.estimation.checks.channel_rows import Rows, powers_of
-from aerobalance.estimation.checks.driven_shapes import moved_by_motion
+from aerobalance.estimation.checks.driven_shapes import beats_channels, moved_by_motion
 from aerobalance.estimation.checks.ground_doubts import without_ground_doubts
 from aerobalance.estimation.checks.model_error import BY_PROBABILITY, LEFT_OPEN, TOLD, as_noise
 from aerobalance.estimation.checks.moved_dynamics import Moved
@@ -271,7 +271,8 @@ def _by_shapes(
         first = min(within.start + most, within.stop - most)
     if other is None or asked is None:
         return _frequencies_assumed(ringing, record, parts)
-    if other.moved is not None and other.probability == 1 and not asked.shows_motion(other.rows):
+    shown = other.moved is not None and other.probability == 1 and not first and asked.shows_motion(asked.own)
+    if shown and not asked.shows_motion(other.rows) and beats_channels(asked, record, other, within=within):
         # what other modes leave of the motion looks like another gain or a delay of its channels
         parts = {name: without_ground_doubts(part) for name, part in parts.items()}
     bandwidth = np.array([parts[name].bandwidth for name in names])
@@ -282,8 +283,6 @@ def _by_shapes(
     # of a component in which no force was found its uncertainty is what there is
     known = [np.mean(parts[name].values ** 2) + np.mean(parts[name].uncertainty ** 2) for name in names]
     relative = size / np.sqrt(np.maximum(known, 1e-300))
-    # what one part leaves open is in its uncertainty: of the whole record it is told where it matters there
-    matters = relative / np.sqrt(_parts_of_whole(record)) > TOLD
     told = other.places or (int(np.argmax(relative)),)
     found = {}
     for place, name in enumerate(names):
@@ -291,11 +290,12 @@ def _by_shapes(
         period = 1 / record.decoupled[place].dynamics.natural_frequency
         error = as_noise(errors[:, place], name=name_of_error, period=period, interval=interval)
         part = with_errors(part, error)
-        if place in told and (other.probability == 1 or matters[place]):
+        if place in told and (other.probability == 1 or relative[place] > TOLD):
             text, advice = _words(other, dynamics)
             since = f" (at the end of the record, not up to {record.recording.start + first * interval:.4g} s)"
             text = f"{text}{since if first else ''}"
-            doubt = Doubt(other.kind, name, text, advice, float(size[place]), si_unit(name))
+            unit = si_unit(name)
+            doubt = Doubt(other.kind, name, text, advice, float(size[place]), unit, other.probability)
             part = replace(part, doubts=(*part.doubts, doubt))
         found[name] = part
     return found
@@ -370,12 +370,6 @@ def _frequencies_assumed(
     return found
 
 
-def _parts_of_whole(record: CoupledRecord) -> float:
-    """How many times as long as this record the whole is that it is a part of [1]."""
-    extent = record.recording.extent
-    return 1 / (extent.end - extent.begin)
-
-
 def _between_gaps(record: CoupledRecord) -> slice:
     """The longest stretch of a record without a gap of more than a period of the lowest mode.
 
@@ -416,10 +410,11 @@ def _spoken(
     other = other_shapes(ringing, record.dynamics, far=far)
     if other is None:
         first = int(within.start)
-        shown = moved_by_motion(ringing, record.dynamics) or moved_alone(
-            ringing, record.dynamics, parts=_parts_of_whole(record)
-        )
-        return shown or one_moved(ringing, record, parts, readings, first=first)
+        shown = moved_by_motion(ringing, record.dynamics)
+        if shown is not None and beats_channels(ringing, record, shown, within=within):
+            return shown
+        alone = moved_alone(ringing, record.dynamics)
+        return alone or one_moved(ringing, record, parts, readings, first=first)
     # a tone is narrower than any resonance, and looks like one that is elsewhere
     above = SETTINGS.tones_above * record.dynamics.modes[0].natural_frequency * record.interval
     ringing = RingingSpectra.of(record, loads.part(within).without_tones(above=above), parts)
@@ -453,9 +448,10 @@ def _words(other: OtherShapes, dynamics: CoupledDynamics) -> tuple[str, str]:
                 what += f" (damping ratio {now:.2g} and not {before:.2g})"
             changed.append(what)
     sure = other.probability == 1
+    likely = "" if sure else f" (probability {min(other.probability, 0.99):.2g})"
     text = (
-        f"the components {'ring' if sure else 'may ring'} together {', '.join(changed)}"
-        f"{'' if sure else f' (probability {other.probability:.2g})'}: stiffness, mass or damping have changed since "
+        f"the components {'ring' if sure else 'may ring'} together {', '.join(changed)}{likely}: "
+        "stiffness, mass or damping have changed since "
         "they were identified, or the dynamics are those of another balance; forces near these frequencies "
         f"{'are wrong' if sure else BY_PROBABILITY}"
     )

@@ -104,6 +104,9 @@ COLORED: Final = Search(np.empty(0), np.empty(0), steps=60, enough=0.02, longest
 AKAIKE: Final = 1.0
 """Price in log-likelihood of a number that is fitted (H. Akaike, IEEE Trans. Autom. Control 19 (1974) 716)."""
 
+ROUNDING: Final = 1e-12
+"""Power of a force of the ground's motion over the largest, each over its channel's noise, that is rounding."""
+
 SMOOTHED: Final = 3
 """Ordinates over which the power about one is averaged: a main lobe."""
 
@@ -204,7 +207,7 @@ class RingingSpectra:
         """
         most = most_samples(record)
         loads, felt = (one[:most] - one[:most].mean(axis=0) for one in given)
-        whole, shaken = loads + felt, given.shaken
+        whole, shaken = loads + felt, bool(felt.any())
         count, interval = loads.shape[0], record.interval
         step = 1 / (count * interval)
         top = SETTINGS.highest * max(mode.natural_frequency for mode in record.dynamics.modes)
@@ -301,6 +304,19 @@ class RingingSpectra:
         lines = np.asarray(found.reshape(count, 2 * size).view(np.complex128))
         return lines if self.of_ground is None else lines - rows.order @ self.of_ground
 
+    def with_motion(self, change: NDArray[np.complex128]) -> RingingSpectra:
+        """The same where the ground's motion puts further forces on the moving mass, their lines of shape (n, m)."""
+        return replace(self, of_ground=change if self.of_ground is None else self.of_ground + change)
+
+    def lines_of(self, forces: Array, *, interval: float) -> NDArray[np.complex128]:
+        """Lines of forces on the moving mass, shape (samples, n), as those of `of_ground`, shape (n, m)."""
+        count = round(1 / (interval * (self.frequency[1] - self.frequency[0])))
+        some, window = forces[:count] - forces[:count].mean(axis=0), hann(count)
+        window = window * np.sqrt(interval / float(np.sum(window**2)))
+        lines = np.fft.rfft(some * window[:, None], axis=0).T
+        first = round(float(self.frequency[0]) * count * interval)
+        return np.asarray(lines[:, first : first + self.frequency.size])
+
     def shows_motion(self, rows: Rows) -> bool:
         """Whether forces by these rows go with that of the ground's motion, more than by chance."""
         if self.of_ground is None or not self.shown.any():
@@ -309,7 +325,8 @@ class RingingSpectra:
         told = self.shown[self.bands]
         here, counts = np.repeat(told, widths), widths[told] / HANN_BANDWIDTH
         firsts = np.cumsum(widths[told]) - widths[told]
-        moved = self.of_ground.any(axis=1)
+        power = np.sum(np.abs(self.of_ground) ** 2 / self.gain, axis=1)
+        moved = power > ROUNDING * np.max(power / self.noise) * self.noise  # others have what is left of rounding
         found = excess_of_coherence(
             self.readings(rows)[moved][:, here], self.of_ground[moved][:, here], firsts, counts
         )
