@@ -906,3 +906,9 @@ def test_natural_zeros_that_were_left_in_the_outputs_are_told(balance: BalanceMa
     assert dict(left.recording.zeros_left) == pytest.approx(told)
     off = reduced(balance.outputs(native))
     assert not [doubt for doubt in off.doubts if doubt.kind == "zero"]
+    # in the difference to a wind-off recording with the same zeros nothing of them is left
+    calm = recorded(np.tile(natural, (2000, 1)) + rng.normal(0, NOISE, (2000, 6)), name="calm")
+    run = recorded(balance.outputs(native) + natural)
+    less = reduce_outputs(run, known, zero=Zero([], model_on=False), tare=[calm])
+    assert not [doubt for doubt in less.doubts if doubt.kind == "zero"]
+    assert not less.recording.zeros_left

@@ -18,6 +18,7 @@ from aerobalance.estimation.forces import ForceSettings
 from aerobalance.estimation.independent_record import IndependentRecord
 from aerobalance.recording.analog_filter import AntiAlias
 from aerobalance.recording.channel import Channel
+from aerobalance.recording.doubts import Doubt, of_all_parts
 from aerobalance.recording.errors import DataQualityWarning, FitError, OfLoads, OfMissing
 from aerobalance.recording.part_warnings import PartWarnings
 from aerobalance.recording.parts import Part, parts_of
@@ -511,3 +512,14 @@ def test_numbers_of_a_force_with_a_silent_part_are_those_of_the_rest(rng):
         assert "nan" not in text
     with pytest.raises(FitError, match="have no force in this span"):
         regress(force["AF"], {"mean": 1.0})
+
+
+@pytest.mark.parametrize(("some", "told"), [(2, False), (3, True)])
+def test_what_a_few_of_many_parts_leave_open_is_chance(some, told) -> None:
+    """Of 58 sound parts three or more leave something open once in a hundred records, each by 0.7 %."""
+    one = Doubt("natural frequency", "AF", "may ring elsewhere", effect=1.0, probability=0.9)
+    parts = [(one, f"in part {number} of 58") for number in range(some)]
+    assert bool(of_all_parts(parts, parts=58)) is told
+    assert of_all_parts(parts, parts=4)
+    sure = Doubt("natural frequency", "AF", "rings elsewhere", effect=1.0)
+    assert of_all_parts([(sure, "in part 3 of 58")], parts=58)

@@ -16,7 +16,7 @@ def share_one_heap() -> None:
     It gives each thread a heap of its own, and what one has let go of in its heap no other takes: two threads that
     work on a record in turn with a third then have a quarter more resident than they need. By itself it also comes to
     keep all that was let go of, up to 64 MB, which no later part of another size fits into: what is larger than 32 MB
-    is given back at once. With 4 MB ten minutes of six components had as much, and the kernel twice as many pages to
+    is given back at once. With a limit of 4 MB the same memory was resident, and the kernel had twice as many pages to
     make ready.
     """
     with suppress(OSError, AttributeError, TypeError):

@@ -281,6 +281,7 @@ def with_loads(recording: Recording, felt: Loads) -> Recording:
     half = np.abs(felt.transform) @ (np.ptp(np.array(felt.balance.calibrated), axis=0) / 2)
     stated = any(recording.channels[name].relative_uncertainty > 0 for name in (*gauges, *supply))
     once = not felt.zero.drift.any()  # no zero was read after the run
+    zeros = np.abs(felt.transform @ natural_loads(felt))
     repeats = dict(zip(felt.components, (REPEATS * half).tolist(), strict=True)) if once else {}
     return replace(
         recording,
@@ -291,13 +292,13 @@ def with_loads(recording: Recording, felt: Loads) -> Recording:
         gains_stated=recording.gains_stated or stated,
         declared=declared,
         zero_from_natural={name: one.load for name, one in felt.zero.from_natural.items() if one.of_range > REPEATS},
-        zeros_left=dict(zip(felt.components, np.abs(felt.transform @ natural_loads(felt)).tolist(), strict=True)),
+        zeros_left={name: left for name, left in zip(felt.components, zeros.tolist(), strict=True) if left},
         zero_repeats=repeats,
     )
 
 
 def natural_loads(felt: Loads) -> Array:
-    """Loads of the calibration's natural zeros where none is taken off, in the balance's components, (c,) [N, N*m]."""
+    """Return loads of the natural zeros where none is taken off, in the balance's components, shape (c,) [N, N*m]."""
     natural = felt.balance.natural_zero
     if natural is None or not felt.zero.is_nothing:
         return np.zeros(len(felt.balance.components))

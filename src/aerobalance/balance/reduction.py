@@ -127,7 +127,7 @@ class OutputReduction:
         counted = self._zero(pitched="pitch" in recording)
         if tare:  # an error of the zero is in them as well, and in their difference none
             counted = zero_or_mean(counted, tare, balance)
-            counted = None if counted is None else replace(counted, from_natural={})
+            counted = None if counted is None else replace(counted, from_natural={}, in_both=True)
             off = wind_off_loads(recording, tare, balance, zero=counted, form=self.form)
             loads = loads_of_outputs(recording, balance, zero=counted, tare=off, form=self.form)
             return loads if model is None else replace(loads.without_gravity, ready=True)

@@ -8,12 +8,15 @@ from typing import Final
 import numpy as np
 
 from aerobalance.balance.matrix import BalanceMatrix
-from aerobalance.balance.zeros import CLEARLY, MOVED_IN_RANGE, GaugeZero
+from aerobalance.balance.zeros import MOVED_IN_RANGE, GaugeZero
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import argument
 from aerobalance.recording.linalg import whole_rows
+
+AT_THEM: Final = 0.2
+"""Distance of the mean outputs from the natural zeros, over these, up to which they lie at them."""
 
 NOT_TAKEN_OFF: Final = 0.02
 """Load of the natural zeros over half of the calibrated range from which on it is told that they are in the loads."""
@@ -73,15 +76,18 @@ def doubts_of_no_zero(
     components, transform
         Components of the loads, k of them, and what makes them of the balance's own, shape (k, c).
     """
-    natural, known = balance.natural_zero, outputs[whole_rows(outputs)]
-    if natural is None or not zero.is_nothing or not len(known):
+    natural = balance.natural_zero
+    if natural is None or not zero.is_nothing:
+        return
+    known = outputs[whole_rows(outputs)]
+    if not len(known):
         return
     mean, size = known.mean(axis=0), balance.output_scale
-    if not np.linalg.norm((mean - natural) / size) < CLEARLY * np.linalg.norm(mean / size):
+    if not np.linalg.norm((mean - natural) / size) < AT_THEM * np.linalg.norm(natural / size):
         return
     own = balance.loads(natural[None, :]).loads[0]
     of_range = np.abs(own) / (np.ptp(np.array(balance.calibrated), axis=0) / 2)
-    if not np.nanmax(of_range) > NOT_TAKEN_OFF:
+    if not (of_range > NOT_TAKEN_OFF).any():
         return
     effects = np.abs(transform @ np.nan_to_num(own))
     for name, effect in zip(components, effects.tolist(), strict=True):
@@ -91,7 +97,7 @@ def doubts_of_no_zero(
             name,
             "the gauge outputs are taken as less their zero already, and lie at the natural zeros of the calibration: "
             f"none was taken off, and what the bridges read without load, {effect:.3g} {unit} of {name}, is in the "
-            "loads",
+            "loads; or the mean loads of the run are just as large",
             f"give a recording without load as {argument('zero')}, or leave it out: then the natural zeros are taken",
             effect,
             unit,

@@ -96,6 +96,8 @@ class GaugeZero:
     from_natural
         How far it lies from the natural zeros of the calibration, by component of the loads; without those where the
         weight is not known, and empty without natural zeros.
+    in_both
+        Whether loads that count from it are taken off each other, so that nothing of it is left.
     """
 
     values: Array
@@ -110,6 +112,7 @@ class GaugeZero:
     differ: Array = field(default_factory=lambda: np.zeros(1))
     drifted: bool = False
     from_natural: Mapping[str, FromNatural] = field(default_factory=dict)
+    in_both: bool = False
 
     @classmethod
     def taken_off(cls, balance: BalanceMatrix) -> GaugeZero:
@@ -119,8 +122,8 @@ class GaugeZero:
 
     @property
     def is_nothing(self) -> bool:
-        """Whether outputs are taken as they are."""
-        return not self.values.any()
+        """Whether outputs are taken as they are, and what is in them without load as load."""
+        return not self.values.any() and not self.in_both
 
 
 @dataclass(frozen=True, slots=True, eq=False, init=False)

@@ -82,6 +82,8 @@ class Doubt:
         have been mended, None where it is not known.
     unit
         Unit of the effect.
+    probability
+        How probable it is [1]: below one the record leaves it open, and its error counts by it.
     """
 
     kind: str
@@ -90,6 +92,7 @@ class Doubt:
     advice: str = ""
     effect: float | None = None
     unit: str = "N"
+    probability: float = 1.0
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -219,8 +222,18 @@ def of_pieces(doubts: Iterable[Doubt]) -> tuple[Doubt, ...]:
     return tuple(merged)
 
 
+MANY_PARTS: Final = 10
+"""Parts from which on chance leaves something open in one of them often enough: of a hundred sound ones one has."""
+
+BY_CHANCE: Final = 0.02
+"""Share of parts which, with one more, may leave something open by chance: of 58 three or more do once in a hundred
+records."""
+
+
 def of_all_parts(doubts: Iterable[tuple[Doubt, str]], *, parts: int) -> tuple[Doubt, ...]:
     """Return doubts about parts of a record as doubts about all of it: one of a kind and component, the largest.
+
+    What a few of many parts leave open is none: it counts in the uncertainty there, and chance does the same.
 
     Parameters
     ----------
@@ -230,8 +243,14 @@ def of_all_parts(doubts: Iterable[tuple[Doubt, str]], *, parts: int) -> tuple[Do
         Parts of the record.
     """
     groups: dict[tuple[str, str], list[tuple[Doubt, str]]] = {}
+    doubts = list(doubts)
+    left_open: dict[str, set[str]] = {}
     for doubt, where in doubts:
-        groups.setdefault((doubt.kind, doubt.component), []).append((doubt, where))
+        left_open.setdefault(doubt.kind, set()).add(where)
+    for doubt, where in doubts:
+        few = len(left_open[doubt.kind]) <= 1 + BY_CHANCE * parts
+        if parts < MANY_PARTS or doubt.probability == 1 or not few:
+            groups.setdefault((doubt.kind, doubt.component), []).append((doubt, where))
     merged = []
     for group in groups.values():
         known = [one for one in group if one[0].effect is not None]

@@ -15,7 +15,6 @@ from aerobalance.app.reports.page import (
     inline,
     legend,
     legend_above,
-    power_of_ten,
     write_page,
 )
 from aerobalance.dynamics.modal import ModalModel
@@ -164,7 +163,7 @@ def comparison_figure(
     legend_above(figure, top, colours, columns=3)
     words = "error" if truth is not None else f"apart from\n{THIS}"
     bottom.set(ylabel=f"{words},\nrms over a period [{unit}]", xlabel="time [s]", xlim=(time[0], time[-1]))
-    bottom.yaxis.set_major_formatter(power_of_ten)
+    bottom.yaxis.set_major_formatter(lambda value, _: f"{value:g}")
     figure.align_ylabels()
     return inline(figure, "baselines", "The force by baseline methods and by this estimator, and their errors below")
 

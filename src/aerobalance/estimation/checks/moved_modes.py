@@ -260,7 +260,7 @@ def closer(evidence: Evidence, before: Moved, place: int | slice, first: Moved) 
     return before.by(place, start + best.x * size)
 
 
-def moved_alone(ringing: RingingSpectra, dynamics: CoupledDynamics, *, parts: float = 1.0) -> OtherShapes | None:
+def moved_alone(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherShapes | None:
     """Return the one mode that has moved, where that is likelier than a narrow band of any load there; or None.
 
     Rows that take out a ringing that is not there take as much of the force, and what rings elsewhere swings in all
@@ -273,8 +273,6 @@ def moved_alone(ringing: RingingSpectra, dynamics: CoupledDynamics, *, parts: fl
         The spectra of the record.
     dynamics
         The dynamics that it was read with.
-    parts
-        Parts of a longer record of which this is one: chance has as many tries.
     """
     if dynamics.internal or len(dynamics.modes) != len(dynamics.components):
         return None
@@ -308,7 +306,6 @@ def moved_alone(ringing: RingingSpectra, dynamics: CoupledDynamics, *, parts: fl
             if about.together
             else gain_over_loads(about, moved.rows, mode.natural_frequency, least=SETTINGS.alone_open_from)
         )
-        gain -= float(np.log(parts))
         if gain < SETTINGS.alone_open_from:
             return None
         likely = 1.0 if gain >= SETTINGS.alone_decisive else float(expit(gain - SETTINGS.alone_half))

@@ -82,6 +82,8 @@ class Spectrum:
             return "no fluctuating force"
         if self.tail is not None:
             start = f"{self.edges[-2]:.4g} Hz as the power {self.tail:.3g} of frequency"
+            if filled.size == 1:
+                return f"spectrum that falls from {start}"
             return f"spectrum of {_bands_of_one_level(filled.size - 1).rstrip(',')}, falling from {start}"
         return f"spectrum of {_bands_of_one_level(filled.size)} up to {self.edges[filled[-1]]:.4g} Hz"
 
@@ -160,7 +162,7 @@ class Periodogram:
 
     @property
     def digest(self) -> bytes:
-        """What is the same for periodograms of the same numbers, and for no others.
+        """What is the same for periodograms of the same numbers, and hardly for others.
 
         The averages tell apart what differs at any ordinate, and of what is not averaged the sum does: all ordinates
         would take a tenth of the time of a fit.
