@@ -88,8 +88,9 @@ def of_two_modes(ring: Ring) -> Ring | None:
         line = DecayLine(ring.frequency + apart, ring.decay)
         begun = replace(ring, frequency=ring.frequency + shift)
         found = fit_ring(ring.time, ring.values, begun, lines=(*ring.lines, line), bent=False)
-        u = float(np.sqrt(found.covariance[0, 0]))
-        sound = found.decay > TOLD * u and found.lines[-1].decay > 0
+        variance = float(found.covariance[0, 0])  # below zero by rounding where two modes are one
+        told = variance >= 0 and found.decay > TOLD * np.sqrt(variance)
+        sound = told and found.lines[-1].decay > 0
         if sound and (best is None or found.squares < best.squares):
             best = found
     return best
