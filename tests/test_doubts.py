@@ -20,7 +20,8 @@ from aerobalance.estimation.checks.moved_dynamics import Moved
 from aerobalance.estimation.checks.resolution import resolution_doubt, rounding_error
 from aerobalance.estimation.checks.resonance_change import ResonanceChange, resonance_changes
 from aerobalance.estimation.checks.resonance_change import _told as change_told
-from aerobalance.estimation.checks.ringing import RingingSpectra, SplitLoads
+from aerobalance.estimation.checks.ringing import RingingSpectra
+from aerobalance.estimation.checks.split_loads import SplitLoads
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.error_sources import Noise
 from aerobalance.estimation.force import estimate_force

@@ -186,6 +186,11 @@ class CoupledDynamics(BalanceDynamics):
         return len(self.inertia) - len(self.components)
 
     @property
+    def has_one_mode_each(self) -> bool:
+        """Whether there are as many oscillations as components, and no internal coordinates."""
+        return not self.internal and len(self.modes) == len(self.components)
+
+    @property
     def coordinates(self) -> tuple[str, ...]:
         """Names of the N rows of the matrices: the components, then hidden 1, hidden 2 and so on."""
         return (*self.components, *internal_names(self.internal))

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
 from aerobalance.recording.channel import Array
 
-WORTH_A_LOOK = 2.0
+WORTH_A_LOOK: Final = 2.0
 """Excess of coherence over what chance gives, in its standard deviations, from which two series go together."""
 
 

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.estimation.checks.moved_dynamics import Moved
-from aerobalance.estimation.checks.moved_modes import SETTINGS as MOVED
 from aerobalance.estimation.checks.moved_modes import OtherShapes, closer, evidence_of
 from aerobalance.estimation.checks.ringing import RingingSpectra
 from aerobalance.estimation.coupled_record import CoupledRecord
@@ -68,7 +67,7 @@ def moved_by_motion(ringing: RingingSpectra, dynamics: CoupledDynamics) -> Other
     dynamics
         The dynamics that it was read with.
     """
-    if dynamics.internal or len(dynamics.modes) != len(dynamics.components) or not ringing.shows_motion(ringing.own):
+    if not dynamics.has_one_mode_each or not ringing.shows_motion(ringing.own):
         return None
     found, gained, modes = Moved.none(dynamics), 0.0, set(range(len(dynamics.modes)))
     tried = [(sign * size, 0.0) for size in SETTINGS.shifts for sign in (-1, 1)]
@@ -90,9 +89,7 @@ def moved_by_motion(ringing: RingingSpectra, dynamics: CoupledDynamics) -> Other
         modes.remove(place)
     if gained < SETTINGS.decisive or ringing.shows_motion(found.rows) or not found.ringing.all():
         return None
-    frequency, damping = np.max(np.abs(found.changes), axis=0)
-    kind = "natural frequency" if frequency > MOVED.told or damping < MOVED.told_damping else "damping ratio"
-    return OtherShapes(kind, (), found.rows, gained, found)
+    return OtherShapes.of_moved(found, gained)
 
 
 def beats_channels(ringing: RingingSpectra, record: CoupledRecord, other: OtherShapes, *, within: slice) -> bool:

@@ -33,7 +33,8 @@ from aerobalance.estimation.checks.moved_modes import (
     one_moved,
 )
 from aerobalance.estimation.checks.resonance import gain_in_white_noise
-from aerobalance.estimation.checks.ringing import RingingSpectra, SplitLoads, most_samples
+from aerobalance.estimation.checks.ringing import RingingSpectra, most_samples
+from aerobalance.estimation.checks.split_loads import SplitLoads
 from aerobalance.estimation.coupled_record import CoupledRecord, net_load
 from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.result import ComponentForce, with_errors
@@ -341,7 +342,7 @@ def _frequencies_assumed(
         As of `shape_doubts`.
     """
     dynamics, own = record.dynamics, Moved.none(record.dynamics)
-    if dynamics.internal or len(dynamics.modes) != len(dynamics.components):
+    if not dynamics.has_one_mode_each:
         return {}
     others = [own.by(slice(None), np.array([sign * ASSUMED.frequency, 0.0])) for sign in (1, -1)]
     forces = np.column_stack([parts[name].values for name in dynamics.components])

@@ -150,6 +150,13 @@ class OtherShapes:
     moved: Moved | None = None
     probability: float = 1.0
 
+    @classmethod
+    def of_moved(cls, moved: Moved, gain: float) -> OtherShapes:
+        """Modes that have clearly moved, by what of them has changed most plainly."""
+        frequency, damping = np.max(np.abs(moved.changes), axis=0)
+        damped = frequency <= SETTINGS.told and damping >= SETTINGS.told_damping
+        return cls("damping ratio" if damped else "natural frequency", (), moved.rows, gain, moved)
+
 
 def gain_of(evidence: Array, known: Array) -> float:
     """Gain in log-likelihood over what is known, less that of the band that brings most.
@@ -201,7 +208,7 @@ def moved_together(
     far
         Whether they are looked for far from those of the dynamics.
     """
-    if dynamics.internal or len(dynamics.modes) != len(dynamics.components):
+    if not dynamics.has_one_mode_each:
         return None
     own, everything = Moved.none(dynamics), slice(None)
     seen_with = partial(evidence_of, ringing)
@@ -225,9 +232,7 @@ def moved_together(
     for place in range(len(found.changes)):
         nearer = closer(seen_with, found, place, found)
         found = nearer if nearer.ringing[place] else found
-    frequency, damping = np.max(np.abs(found.changes), axis=0)
-    kind = "natural frequency" if frequency > SETTINGS.told or damping < SETTINGS.told_damping else "damping ratio"
-    return OtherShapes(kind, (), found.rows, gain, found)
+    return OtherShapes.of_moved(found, gain)
 
 
 def evidence_of(ringing: RingingSpectra, moved: Moved) -> Array:
@@ -274,7 +279,7 @@ def moved_alone(ringing: RingingSpectra, dynamics: CoupledDynamics) -> OtherShap
     dynamics
         The dynamics that it was read with.
     """
-    if dynamics.internal or len(dynamics.modes) != len(dynamics.components):
+    if not dynamics.has_one_mode_each:
         return None
     own = Moved.none(dynamics)
 
@@ -330,7 +335,7 @@ def one_moved(
     It is believed from the same gain on as of a single component, or left open (`spoken_for`).
     """
     dynamics = record.dynamics
-    if dynamics.internal or len(dynamics.modes) != len(dynamics.components):
+    if not dynamics.has_one_mode_each:
         return None
     last, interval = min(first + most_samples(record), record.recording.samples), record.interval
     found: list[tuple[float, int, Array]] = []

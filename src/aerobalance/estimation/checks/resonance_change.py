@@ -19,7 +19,8 @@ from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.evidence import SETTINGS as EVIDENCE
 from aerobalance.estimation.checks.evidence import Evidence
 from aerobalance.estimation.checks.moved_dynamics import Moved
-from aerobalance.estimation.checks.ringing import RingingSpectra, SplitLoads
+from aerobalance.estimation.checks.ringing import RingingSpectra
+from aerobalance.estimation.checks.split_loads import SplitLoads
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.result import ComponentForce
@@ -146,7 +147,7 @@ def _coupled(force: Force, record: CoupledRecord) -> tuple[ResonanceChange, ...]
     modes = dynamics.modes
     still = tuple(ResonanceChange(f"mode {number}", mode.natural_frequency) for number, mode in enumerate(modes, 1))
     filled = force.filled
-    if dynamics.internal or len(modes) != len(dynamics.components) or not np.ptp(filled, axis=0).all():
+    if not dynamics.has_one_mode_each or not np.ptp(filled, axis=0).all():
         return still
     ringing = RingingSpectra.of(record, SplitLoads.of(record, filled), force.parts)
     if ringing is None:

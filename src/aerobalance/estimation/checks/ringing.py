@@ -23,7 +23,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,11 +33,11 @@ from aerobalance.estimation.checks._covariance_kernels import likeliest_covarian
 from aerobalance.estimation.checks._level_kernels import ForceLines, likeliest_levels, likeliest_levels_and_noise
 from aerobalance.estimation.checks.channel_rows import Rows, powers_of, product_of_modes
 from aerobalance.estimation.checks.coherence import WORTH_A_LOOK, excess_of_coherence
+from aerobalance.estimation.checks.split_loads import SplitLoads
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.estimation.spectra._kernels import Search
 from aerobalance.estimation.spectra.periodogram import Periodogram
-from aerobalance.estimation.spectra.steady_tones import without_tones
 from aerobalance.estimation.spectra.windows import HANN_BANDWIDTH, leaked_from
 from aerobalance.recording.channel import Array
 from aerobalance.recording.fourier import hann
@@ -116,41 +116,6 @@ def most_samples(record: CoupledRecord) -> int:
     return SETTINGS.samples // record.recording.decimated
 
 
-class SplitLoads(NamedTuple):
-    """Loads without gaps, apart from what the ground's motion has put on them, at the instants of the first channel.
-
-    Attributes
-    ----------
-    left
-        The loads less that, shape (samples, n).
-    felt
-        What it has put on them by the dynamics of the record, shape (samples, n).
-    """
-
-    left: Array
-    felt: Array
-
-    @classmethod
-    def of(cls, record: CoupledRecord, filled: Array) -> SplitLoads:
-        """Those of a record whose readings have their gaps filled, shape (samples, n)."""
-        return cls(record.without_ground(filled, on_clock_of=0), record.felt_of_ground(on_clock_of=0))
-
-    def part(self, within: slice) -> SplitLoads:
-        """Some samples of them."""
-        return SplitLoads(self.left[within], self.felt[within])
-
-    @property
-    def shaken(self) -> bool:
-        """Whether the ground moves."""
-        return bool(np.ptp(self.felt, axis=0).any())
-
-    def without_tones(self, *, above: float) -> SplitLoads:
-        """The same without steady tones above a frequency over the sampling rate."""
-        return SplitLoads(
-            without_tones(self.left, above=above), without_tones(self.felt, above=above) if self.shaken else self.felt
-        )
-
-
 @dataclass(frozen=True, eq=False)  # without slots: what is worked out once is kept
 class RingingSpectra:
     """Spectra of all that rows of polynomials can make of a record.
@@ -215,8 +180,7 @@ class RingingSpectra:
         if last - 2 < SETTINGS.fewest:
             return None
         bands = _bands(last - 2)
-        window = hann(count)
-        window = window * np.sqrt(interval / float(np.sum(window**2)))
+        window = _window(count, interval)
         inside, channels = slice(2, last), loads.shape[1]
         lines = np.empty((channels, record.decoupled[0].row.shape[1], channels, last - 2), dtype=np.complex128)
         of_ground = np.empty((channels, last - 2), dtype=np.complex128) if shaken else None
@@ -311,9 +275,8 @@ class RingingSpectra:
     def lines_of(self, forces: Array, *, interval: float) -> NDArray[np.complex128]:
         """Lines of forces on the moving mass, shape (samples, n), as those of `of_ground`, shape (n, m)."""
         count = round(1 / (interval * (self.frequency[1] - self.frequency[0])))
-        some, window = forces[:count] - forces[:count].mean(axis=0), hann(count)
-        window = window * np.sqrt(interval / float(np.sum(window**2)))
-        lines = np.fft.rfft(some * window[:, None], axis=0).T
+        some = forces[:count] - forces[:count].mean(axis=0)
+        lines = np.fft.rfft(some * _window(count, interval)[:, None], axis=0).T
         first = round(float(self.frequency[0]) * count * interval)
         return np.asarray(lines[:, first : first + self.frequency.size])
 
@@ -491,6 +454,12 @@ class RingingSpectra:
         offsets = (np.arange(SETTINGS.fine) + 0.5) / SETTINGS.fine - 0.5
         places = (self.frequency[:, None] + step * offsets).ravel()
         return np.asarray(rows.determinant(places).reshape(-1, SETTINGS.fine).mean(axis=1))
+
+
+def _window(count: int, interval: float) -> Array:
+    """Hann window by which squares of lines are densities, shape (count,) [s^0.5]."""
+    window = hann(count)
+    return np.asarray(window * np.sqrt(interval / float(np.sum(window**2))))
 
 
 def _own(power: Array) -> NDArray[np.bool_]:
