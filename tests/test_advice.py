@@ -18,7 +18,7 @@ from aerobalance.app.options import OPTIONS, as_options
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.other_dynamics import OtherDynamics, other_dynamics_in
-from aerobalance.estimation.force import force_record
+from aerobalance.estimation.force_record import force_record
 from aerobalance.identification.free_decay.decay_doubts import _way_to_take_it_up
 from aerobalance.identification.free_decay.event import first_look
 from aerobalance.identification.free_decay.fit import _kept_modes, identify_decay

@@ -12,7 +12,8 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.model_error import LEFT_OPEN
 from aerobalance.estimation.checks.noise_level import departure_of
 from aerobalance.estimation.component_force import noise_of_component
-from aerobalance.estimation.force import estimate_force, force_record
+from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.force_record import force_record
 from aerobalance.estimation.live.live_force import LiveForce
 from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.signal_model import SAME_LINE, SAME_NOISE, _differ

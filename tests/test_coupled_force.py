@@ -12,7 +12,8 @@ from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.error_sources import Systematic
-from aerobalance.estimation.force import estimate_force, force_record
+from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.force_record import force_record
 from aerobalance.estimation.forces import ForceSettings, forces_of
 from aerobalance.estimation.spectra import whittle
 from aerobalance.recording.channel import Array, Channel

@@ -10,7 +10,8 @@ import pytest
 from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.rigid_body import RigidMass
 from aerobalance.estimation.coupled_record import CoupledRecord
-from aerobalance.estimation.force import estimate_force, force_record, noise_spectra
+from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.force_record import force_record, noise_spectra
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY
 from aerobalance.recording.errors import FitError

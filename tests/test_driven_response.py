@@ -11,7 +11,8 @@ import pytest
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.driven_response import driven_response, speaks_against
-from aerobalance.estimation.force import estimate_force, force_record
+from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.force_record import force_record
 from aerobalance.estimation.independent_record import SingleRecord
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.doubts import Verdict

@@ -8,7 +8,7 @@ import pytest
 from scipy.fft import irfft
 
 from aerobalance.dynamics.single import Dynamics, Mode
-from aerobalance.estimation.force import force_record
+from aerobalance.estimation.force_record import force_record
 from aerobalance.estimation.force_smoother import SmootherResult
 from aerobalance.estimation.observation import Observation, SpectralPrior
 from aerobalance.estimation.prior import fit_prior

@@ -9,7 +9,8 @@ import pytest
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation import direct
 from aerobalance.estimation.direct import BAND_ORDER, central_differences
-from aerobalance.estimation.force import estimate_force, force_record
+from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.force_record import force_record
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import QUANTITIES, Channel

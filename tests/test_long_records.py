@@ -208,7 +208,7 @@ def test_a_slow_filter_is_undone_across_the_joints_of_parts(rng, monkeypatch):
         taken.append(given)
         raise EnoughError
 
-    monkeypatch.setattr("aerobalance.estimation.force.force_record", stop)
+    monkeypatch.setattr("aerobalance.estimation.force_record.force_record", stop)
     first, second = work.division.parts(record, dynamics_of(T128))
     for part in (first, second):
         with pytest.raises(EnoughError):

@@ -11,7 +11,8 @@ from scipy.stats import chi2
 
 from aerobalance.estimation import missing_readings
 from aerobalance.estimation.component_force import Fitted
-from aerobalance.estimation.force import estimate_force, force_record
+from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.force_record import force_record
 from aerobalance.estimation.missing_readings import MissingReadings
 from aerobalance.estimation.statespace import kalman
 from aerobalance.recording.components import COMPONENTS

@@ -16,7 +16,8 @@ from aerobalance.dynamics.coupled import CoupledDynamics
 from aerobalance.dynamics.independent import NO_DYNAMICS, IndependentDynamics, dynamics_of
 from aerobalance.dynamics.modal import Mode
 from aerobalance.dynamics.single import Dynamics
-from aerobalance.estimation.force import estimate_force, force_record
+from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.force_record import force_record
 from aerobalance.estimation.live.live_force import LiveForce
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.errors import DataQualityWarning

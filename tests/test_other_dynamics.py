@@ -22,7 +22,8 @@ from aerobalance.estimation.checks.other_dynamics import OtherDynamics, if_chang
 from aerobalance.estimation.checks.spoken import SETTINGS as SPOKEN
 from aerobalance.estimation.checks.spoken import Spoken
 from aerobalance.estimation.checks.step_ringing import change_by_steps
-from aerobalance.estimation.force import estimate_force, force_record
+from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.force_record import force_record
 from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.prior import fit_prior
 from aerobalance.estimation.steps import Step

@@ -9,7 +9,8 @@ import pytest
 from aerobalance.dynamics.independent import dynamics_of
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.error_sources import Divided, Noise, Systematic
-from aerobalance.estimation.force import estimate_force, force_record, noise_spectra
+from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.force_record import force_record, noise_spectra
 from aerobalance.estimation.force_smoother import LinearSmoother, SmootherResult
 from aerobalance.estimation.independent_record import SingleRecord
 from aerobalance.estimation.noise_draws import NoiseDraws

@@ -200,7 +200,7 @@ class Bridges:
 
     def slow(self, record: Recording | Loads) -> Loads:
         slow = DecimatedRecord(record, self.loads, Decimation(FACTOR, FEW), ("AF",))
-        return slow.part(0, slow.samples)
+        return slow.part(0, slow.samples).given
 
 
 def said_of(work) -> tuple[Loads, list[str]]:
@@ -285,7 +285,7 @@ def in_pieces(slow: DecimatedRecord, name: str, monkeypatch: pytest.MonkeyPatch)
     asked = []
     piece = DecimatedRecord._piece
     monkeypatch.setattr(DecimatedRecord, "_piece", lambda self, ends: asked.append(ends) or piece(self, ends))
-    part = slow.part(0, slow.samples)
+    part = slow.part(0, slow.samples).given
     assert len(asked) > 1
     return (part.recording if isinstance(part, Loads) else part).channel(name).values
 

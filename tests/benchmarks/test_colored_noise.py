@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from aerobalance.estimation.component_force import noise_of_component
-from aerobalance.estimation.force import estimate_force, force_record
+from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.force_record import force_record
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.recording import Recording
 from helpers.accuracy import SHARP, SOFT, T128, Shape, density, inner, rms_of, smooth_run

@@ -7,12 +7,12 @@ warnings.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from itertools import chain
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -22,18 +22,14 @@ from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.reduction import reduction_of
 from aerobalance.balance.zeros import Zero
 from aerobalance.dynamics.balance_dynamics import BalanceDynamics
-from aerobalance.dynamics.coupled import CoupledDynamics
-from aerobalance.dynamics.independent import AnyDynamics, IndependentDynamics, dynamics_of
+from aerobalance.dynamics.independent import AnyDynamics, dynamics_of
 from aerobalance.estimation.applied_force import Force
-from aerobalance.estimation.checks.impossible_channels import impossible_channels
 from aerobalance.estimation.checks.model_check import checked
-from aerobalance.estimation.checks.outliers import without_wild_samples
-from aerobalance.estimation.component_force import Method, by_smoother, noise_of_component
-from aerobalance.estimation.coupled_record import CoupledRecord
+from aerobalance.estimation.component_force import Method, by_smoother
 from aerobalance.estimation.force_collector import ForceCollector
 from aerobalance.estimation.force_parts import DIVISION, Division, ForcePart, Joiner, WorstPart
+from aerobalance.estimation.force_record import ReadyRecord, force_record, noise_spectra
 from aerobalance.estimation.forces import ForceRecord, ForceSettings, forces_of, with_matrix
-from aerobalance.estimation.independent_record import IndependentRecord
 from aerobalance.estimation.record import FEWEST_SAMPLES
 from aerobalance.estimation.record_clock import RecordClock
 from aerobalance.estimation.spectra.line_noise import Hum
@@ -42,21 +38,20 @@ from aerobalance.estimation.working_clock import slower_clock
 from aerobalance.estimation.working_record import (
     DecimatedRecord,
     MadeReady,
+    OwnClock,
     RecordAsItIs,
     beside_pieces,
-    unfiltered_part,
 )
 from aerobalance.recording.blas_threads import one_blas_thread
-from aerobalance.recording.channel import Array
-from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, loads_hint
+from aerobalance.recording.components import STANDARD_GRAVITY
 from aerobalance.recording.doubts import Doubt
 from aerobalance.recording.errors import FitError, check_recording, kept_warnings, warn_quality
 from aerobalance.recording.part_warnings import PartWarnings
 from aerobalance.recording.parts import LongRecord, Part
 from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.resampling import gaps_in, interpolate_gaps
-from aerobalance.recording.side_by_side import one_after_the_other
+from aerobalance.recording.resampling import gaps_in
+from aerobalance.recording.side_by_side import Ahead, one_after_the_other
 
 MANY_GAPS: Final = 16
 """Gaps of a channel in a part from which on a record is estimated on a slower clock although it is one part, and on
@@ -68,9 +63,6 @@ FEWEST_SLOWER: Final = 2048
 FEWEST_FOR_THREADS: Final = 1 << 15
 """Samples of a part from which on its components are worked on side by side: of 2000 to 25 000 of six components two
 threads take a quarter more of the processors than one, and as long."""
-
-SAME_WEIGHT: Final = 1e-3
-"""Difference of two weights, over the largest, that attitudes which are averaged may make."""
 
 
 @one_blas_thread()
@@ -210,24 +202,25 @@ class ForceWork:
         told = PartWarnings(record)
         joiner: Joiner | None = None
         silent: list[Part] = []
-        for part in PROGRESS.each(parts, "part"):
-            force: Force | None = None
-            with told.of(part):
-                given, own = record.part(part.begin, part.end), record.own(part.begin, part.end)
-                names = _present(given, self.dynamics)
-                if part.count == 1 or _has_readings(_own_of(given, own), names):
-                    force = self._undivided(given, own, whole=part.count == 1 and clock is None)
-            del given  # the next part needs the memory
-            if joiner is None:
-                joiner = Joiner(record, tuple(force or names), self.division, told)
-            if force is None:
-                silent.append(part)
-            joined = joiner.joined(part, force)
-            del force
-            if clock is not None:
-                joined = clock.sampled(joined)
-            yield joined
-            del joined
+        with Ahead(self._ready, parts) as ahead:
+            for place, part in enumerate(PROGRESS.each(parts, "part")):
+                force: Force | None = None
+                with told.of(part):
+                    names, fast, ready = ahead.result(place)
+                    if ready is not None:
+                        whole = part.count == 1 and clock is None
+                        force = self._undivided(ready, whole=whole, then=partial(ahead.begin, place + 1))
+                del ready  # the next part needs the memory
+                if joiner is None:
+                    joiner = Joiner(record, tuple(force or names), self.division, told)
+                if force is None:
+                    silent.append(part)
+                joined = joiner.joined(part, force)
+                del force
+                if clock is not None and fast is not None:
+                    joined = clock.sampled(joined, fast)
+                yield joined
+                del joined
         if len(silent) == len(parts):
             raise FitError(f"{record.name}: no part of the record has {FEWEST_SAMPLES} readings of each component")
         for part in silent:
@@ -267,34 +260,39 @@ class ForceWork:
     def force_of(self, part: Part) -> Force:
         """Forces of one part with all that their uncertainty consists of; what is to be said of it was said before."""
         with kept_warnings():
-            own = self.working.own(part.begin, part.end)
-            return self._undivided(self.working.part(part.begin, part.end), own, whole=True)
+            ready = self._ready(part).ready
+            if ready is None:
+                raise AssertionError
+            return self._undivided(ready, whole=True)
 
-    def _undivided(self, given: Recording | Loads, own: slice | None, *, whole: bool) -> Force:
-        """Forces of a part; wild samples of a record on a slower clock were looked for on its own."""
+    def _ready(self, part: Part) -> _Part:
+        """A part made ready; wild samples of a record on a slower clock were looked for on its own."""
+        read = self.working.part(part.begin, part.end)
+        names = _present(read.given, self.dynamics)
+        if part.count > 1 and not _has_readings(read.wanted, names):
+            return _Part(names, read.clock, None)
         slower = self.working.every > 1
         settings = replace(self.settings, keep_outliers=True) if slower else self.settings
-        with one_after_the_other() if given.samples < FEWEST_FOR_THREADS else nullcontext():
-            return _undivided(
-                given,
-                self.dynamics,
-                settings,
-                noise=self.noise,
-                whole=whole,
-                known_before=self.working.doubts,
-                wanted=own,
-            )
+        return _Part(names, read.clock, ReadyRecord.of(read, self.dynamics, settings))
+
+    def _undivided(self, ready: ReadyRecord, *, whole: bool, then: Callable[[], None] = lambda: None) -> Force:
+        """Forces of a part."""
+        with one_after_the_other() if ready.given.samples < FEWEST_FOR_THREADS else nullcontext():
+            return _undivided(ready, self.settings, noise=self.noise, whole=whole, then=then)
+
+
+class _Part(NamedTuple):
+    """A part of a record: its components, its record's own clock there if that is faster, and its readings if any."""
+
+    components: tuple[str, ...]
+    fast: OwnClock | None
+    ready: ReadyRecord | None
 
 
 def _present(given: Recording | Loads, dynamics: BalanceDynamics) -> tuple[str, ...]:
     """Components of the dynamics that a run has."""
     recording = given.recording if isinstance(given, Loads) else given
     return tuple(name for name in dynamics.components if name in recording)
-
-
-def _own_of(given: Recording | Loads, own: slice | None) -> Recording | Loads:
-    """Those samples of a run that a part has for its own; all where none are named."""
-    return given if own is None else given.part(own.start, own.stop)
 
 
 def _has_readings(given: Recording | Loads, components: Sequence[str]) -> bool:
@@ -305,46 +303,30 @@ def _has_readings(given: Recording | Loads, components: Sequence[str]) -> bool:
 
 
 def _undivided(
-    given: Recording | Loads,
-    model: BalanceDynamics,
+    ready: ReadyRecord,
     settings: ForceSettings,
     *,
     noise: Recording | Loads | Mapping[str, NoiseSpectrum] | None,
     whole: bool,
-    known_before: tuple[Doubt, ...] = (),
-    wanted: slice | None = None,
+    then: Callable[[], None],
 ) -> Force:
     """Forces of a run that is worked out at once.
 
     Parameters
     ----------
-    given
-        The run, its gauge outputs made loads.
-    model, settings, noise
-        As in `force_parts`.
+    ready
+        The run.
+    settings, noise
+        As in `ForceWork`.
     whole
         Whether all contributions to the uncertainty are kept as they are, and not as few numbers as show.
-    known_before
-        Doubts about readings that were found before it was put on a slower clock.
-    wanted
-        Samples of the run whose force it is; filters of its channels are undone with the others beside them as well.
-        All where left out.
+    then
+        Called when most of the memory and of both processors is done with.
     """
-    if isinstance(given, Recording) and given.from_outputs:
-        warn_quality(
-            f"{given.name}: the loads were worked out from gauge outputs, and the errors of the balance matrix are "
-            "not in the uncertainty: give the loads as reduce_outputs returns them, not their recording alone"
-        )
-    seen = impossible_channels(_own_of(given, wanted), model)
+    given, record, seen = ready
+    model = record.dynamics
     dead = {doubt.component for doubt in seen if doubt.kind == "stuck channel"}
     told = given.doubts if isinstance(given, Loads) else ()
-    if not settings.keep_outliers:
-        given, wild = without_wild_samples(given, model.components, own=wanted)
-        seen += wild
-    seen += known_before
-    if wanted is not None:
-        given = unfiltered_part(given, wanted)
-    record = force_record(given, model, **settings.earth)
     if isinstance(noise, Recording | Loads):
         noise = noise_spectra(noise, record, **settings.earth)
     noises = {} if noise is None else noise
@@ -354,6 +336,7 @@ def _undivided(
             f"noise has {', '.join(unknown)}, which the dynamics do not have; they have {', '.join(model.components)}"
         )
     parts = forces_of(record, settings, noises=noises, few=not whole)
+    then()
     if isinstance(given, Loads):
         parts = with_matrix(parts, given, model)
     known = partial(_known, record, given if isinstance(given, Loads) else None)
@@ -376,104 +359,3 @@ def _of(component: str, doubts: Sequence[Doubt]) -> tuple[Doubt, ...]:
 
 def _known(record: ForceRecord, loads: Loads | None) -> tuple[ForceRecord, Loads | None]:
     return record, loads
-
-
-def force_record(
-    run: Recording | Loads,
-    dynamics: AnyDynamics,
-    *,
-    gravity: float = STANDARD_GRAVITY,
-    gravity_uncertainty: float = 0.0,
-) -> ForceRecord:
-    """The balance loads [N, N*m] of a run with dynamics and the motion of the ground, ready for the estimator.
-
-    Raises
-    ------
-    FitError
-        The run has none of the components, lacks one that the others are coupled with, or is too short.
-    ValueError
-        The loads count from the weight of a model and do not say what it is.
-    """
-    model, noise = dynamics_of(dynamics), None
-    if isinstance(run, Loads):
-        run.check_ready()
-        _check_mass(run, model)
-        noise = _noise_of(run, model)
-        run = run.recording
-    if not any(name in run for name in model.components):
-        raise FitError(
-            f"{run.name} has none of the components of the dynamics, {', '.join(model.components)}; it has "
-            f"{', '.join(run.channels) or 'no channels'}{loads_hint(run.channels)}"
-        )
-    settings = {"gravity": gravity, "gravity_uncertainty": gravity_uncertainty}
-    if isinstance(model, CoupledDynamics):
-        return CoupledRecord.of(run, model, noise=noise, **settings)
-    if isinstance(model, IndependentDynamics):
-        return IndependentRecord.of(run, model, **settings)
-    raise AssertionError
-
-
-def _noise_of(loads: Loads, model: BalanceDynamics) -> Array | None:
-    """Covariance of the noise of a model's components, shape (n, n); None where the loads lack one or its noise."""
-    if any(name not in loads.components for name in model.components):
-        return None
-    place = [loads.components.index(name) for name in model.components]
-    found = loads.noise_covariance[np.ix_(place, place)]
-    return found if np.diag(found).all() else None
-
-
-def _check_mass(loads: Loads, model: BalanceDynamics) -> None:
-    """Refuse loads whose zero was read under the weight of another mass than the dynamics have."""
-    put_back, gravity = loads.zero.weight, loads.zero.pull.acceleration
-    size = float(np.linalg.norm(gravity))
-    if not put_back.any() or size == 0:
-        return
-    aft, right, up = (float(gravity[COMPONENTS.index(name)]) for name in ("AF", "SF", "NF"))
-    pitch, roll = np.array([np.arcsin(aft / size)]), np.array([np.arctan2(right, -up)])
-    for name in model.components:
-        own = float(model.weight(name, pitch=pitch, roll=roll, gravity=size)[0])
-        there = float(put_back[COMPONENTS.index(name)])
-        if abs(own - there) > SAME_WEIGHT * float(np.max(np.abs(put_back))):
-            raise ValueError(
-                f"{loads.recording.name}: the zero of these loads was taken to hold a weight of {there:.5g} along "
-                f"{name}, and these dynamics weigh {own:.5g}; work the loads out with the same dynamics as their model"
-            )
-
-
-def noise_spectra(
-    calm: Recording | Loads,
-    run: ForceRecord,
-    *,
-    gravity: float = STANDARD_GRAVITY,
-    gravity_uncertainty: float = 0.0,
-) -> dict[str, NoiseSpectrum]:
-    """Spectra of the noise of the components' readings [N^2/Hz], from a record of noise alone: wind off, at rest.
-
-    The noise of a decoupled component is what its balance makes of the noise of all channels that have a part in it.
-    So the record of noise goes through the very balances that the run is decoupled with, which depend on the white
-    noise of the run's channels, and the spectrum is learned from what they read.
-
-    Parameters
-    ----------
-    calm
-        The record of noise, with the sampling rate, gains and filters of the run. The load that a recorded motion of
-        the ground has put on it is taken off.
-    run
-        The run that the spectra are for.
-    gravity, gravity_uncertainty
-        Local acceleration of gravity and its standard uncertainty [m/s^2].
-
-    Raises
-    ------
-    FitError
-        The record lacks a component, is too short, or shows no noise.
-    """
-    record = force_record(calm, run.dynamics, gravity=gravity, gravity_uncertainty=gravity_uncertainty)
-    records = record.with_noise(run.noise).component_records(interpolate_gaps(record.loads))
-    lacking = [name for name in run.dynamics.components if name not in records]
-    if lacking:
-        raise FitError(
-            f"{record.recording.name}: has no {', '.join(lacking)}, and the noise of each component worked out "
-            "is needed; record it too, or work out the others by themselves"
-        )
-    return {name: noise_of_component(component) for name, component in records.items()}

@@ -8,7 +8,7 @@ import numpy as np
 
 from aerobalance.estimation.force_parts import ForcePart
 from aerobalance.estimation.sampled_force import SampledForce
-from aerobalance.estimation.working_record import DecimatedRecord
+from aerobalance.estimation.working_record import DecimatedRecord, OwnClock
 from aerobalance.recording.channel import Array
 from aerobalance.recording.decimation import BETWEEN
 
@@ -27,8 +27,16 @@ class RecordClock:
     # last values and uncertainties of the part before, by component: the interpolation needs them at the joint
     _before: dict[str, tuple[Array, Array]] = field(default_factory=dict)
 
-    def sampled(self, given: ForcePart) -> ForcePart:
-        """Return a part with its force on the record's own clock as well [N, N*m]; parts in their order."""
+    def sampled(self, given: ForcePart, clock: OwnClock) -> ForcePart:
+        """Return a part with its force on the record's own clock as well [N, N*m]; parts in their order.
+
+        Parameters
+        ----------
+        given
+            The part.
+        clock
+            The record's own clock there.
+        """
         force = given.force
         if force is None:
             return given
@@ -64,5 +72,5 @@ class RecordClock:
                 for name, all_ in given.steps.items()
             },
             sampled={name: sampled_one(name) for name in given.values},
-            clock=self.record.clock(span.start, span.stop),
+            clock=clock.within(span.start, span.stop),
         )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import chain, pairwise
 from typing import Final, NamedTuple
 
@@ -39,6 +39,51 @@ def beside_pieces(record: LongRecord[Given]) -> int:
     with kept_warnings():  # given when the piece is read again
         given = record.part(0, min(AT_ONCE, record.samples))
     return undone_with(given.recording if isinstance(given, Loads) else given)
+
+
+class OwnClock(NamedTuple):
+    """The record's own clock over a part that was put on a slower one.
+
+    Attributes
+    ----------
+    begin
+        First sample of the record there.
+    recording
+        The channels from there on, without their samples.
+    """
+
+    begin: int
+    recording: Recording
+
+    def within(self, first: int, last: int) -> tuple[Recording, slice]:
+        """The clock, and which of its samples are those from one of the record to another (not included)."""
+        return self.recording, slice(first - self.begin, last - self.begin)
+
+
+class WorkingPart(NamedTuple):
+    """Samples of a record on the clock that its forces are worked out on.
+
+    Attributes
+    ----------
+    given
+        The samples, with balance loads [N, N*m].
+    own
+        Which of them were asked for: filters are undone with those beside them. None where all are.
+    doubts
+        Doubts about the wild, stuck and clipped samples that were looked for on a faster clock.
+    clock
+        That clock; None where there is none.
+    """
+
+    given: Given
+    own: slice | None = None
+    doubts: tuple[Doubt, ...] = ()
+    clock: OwnClock | None = None
+
+    @property
+    def wanted(self) -> Given:
+        """Those samples that were asked for."""
+        return self.given if self.own is None else self.given.part(self.own.start, self.own.stop)
 
 
 def unfiltered_part(given: Given, own: slice) -> Given:
@@ -102,24 +147,18 @@ class RecordAsItIs:
         """Nothing is known of the power at the natural frequencies before the record is read."""
         return ()
 
-    @property
-    def doubts(self) -> tuple[Doubt, ...]:
-        """Its wild, stuck and clipped samples are looked for where the forces are estimated."""
-        return ()
+    def part(self, begin: int, end: int) -> WorkingPart:
+        """Samples `begin` to `end` (excluded) and those `beside` them, with balance loads [N, N*m].
 
-    def part(self, begin: int, end: int) -> Given:
-        """Samples `begin` to `end` (excluded) and those `beside` them, with balance loads [N, N*m]."""
-        wide, own = _wider(slice(begin, end), self.beside, self.samples), self.own(begin, end)
-        if own is None:
-            return self.made_ready(self.record.part(begin, end))
+        Its wild, stuck and clipped samples are looked for where the forces are estimated.
+        """
+        wide = _wider(slice(begin, end), self.beside, self.samples)
+        if wide == slice(begin, end):
+            return WorkingPart(self.made_ready(self.record.part(begin, end)))
+        own = slice(begin - wide.start, end - wide.start)
         read, missing = _read(self.record, wide, own)
         _tell_missing(self.name, missing, samples=end - begin)
-        return self.made_ready(read)
-
-    def own(self, begin: int, end: int) -> slice | None:
-        """Which samples of what `part` returns are those from `begin` to `end`; None where all are."""
-        wide = _wider(slice(begin, end), self.beside, self.samples)
-        return None if wide == slice(begin, end) else slice(begin - wide.start, end - wide.start)
+        return WorkingPart(self.made_ready(read), own)
 
 
 class _Piece(NamedTuple):
@@ -135,14 +174,6 @@ class _Piece(NamedTuple):
     missing: Counter[str]
     sums: LoadSums | None
     said: list[str]
-
-
-class _Read(NamedTuple):
-    """Of a part: its first sample and its clock in the record, and the doubts about its readings."""
-
-    begin: int
-    clock: Recording
-    doubts: tuple[Doubt, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -173,8 +204,6 @@ class DecimatedRecord:
     components: tuple[str, ...]
     shown: tuple[float, ...] = ()
     beside: int = 0
-    # of the part read last; a list, as the class is frozen
-    _read: list[_Read] = field(init=False, default_factory=list)
 
     @property
     def name(self) -> str:
@@ -206,7 +235,7 @@ class DecimatedRecord:
         """Number of samples of the record for each sample of the slower clock."""
         return self.decimation.factor
 
-    def part(self, begin: int, end: int) -> Given:
+    def part(self, begin: int, end: int) -> WorkingPart:
         """Samples `begin` to `end` (excluded) of the slower clock, with balance loads [N, N*m]."""
         step = max(max(AT_ONCE, self.beside) // self.every, 1)
         edges = [*range(begin, end, step), end]
@@ -231,28 +260,7 @@ class DecimatedRecord:
             decimated=1,
         )
         names = [name for name in self.components if name in fast]
-        self._read[:] = [_Read(first, fast, outliers.doubts(fast, names))]
-        return joined
-
-    def own(self, _begin: int, _end: int) -> None:
-        """All samples of what `part` returns are those that it was asked for."""
-        return
-
-    @property
-    def doubts(self) -> tuple[Doubt, ...]:
-        """Doubts about the wild, stuck and clipped samples of the part that `part` returned last."""
-        return self._read[0].doubts
-
-    def clock(self, first: int, last: int) -> tuple[Recording, slice]:
-        """The record's own clock over the part that `part` returned last, and which of its samples are wanted.
-
-        Parameters
-        ----------
-        first, last
-            First sample of the record that is wanted, and the one after the last.
-        """
-        ((begin, recording, _),) = self._read
-        return recording, slice(first - begin, last - begin)
+        return WorkingPart(joined, None, outliers.doubts(fast, names), OwnClock(first, fast))
 
     def _told(self, joined: Given, sums: Sequence[LoadSums], said: Sequence[str]) -> Given:
         """The part, with doubts in its own numbers; what was said of its pieces is said once, with these too."""

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import ContextVar
-from typing import Final, TypeVar, cast
+from typing import Final, Generic, TypeVar, cast
 
 from aerobalance.recording.errors import kept_warnings, warn_quality
 from aerobalance.recording.progress import PROGRESS
@@ -51,11 +51,7 @@ def side_by_side(work: Callable[[Given], Result], given: Iterable[Given], *, wha
     what
         What each of them is, where it is worth telling how many are done.
     """
-
-    def done(one: Given) -> tuple[Result, list[str]]:
-        with kept_warnings() as said, one_after_the_other():  # all threads are at work
-            return work(one), said
-
+    done = _kept(work)
     every = list(given)
     if len(every) < WORKERS or _alone.get():
         return [work(one) for one in (PROGRESS.each(every, what) if what else every)]
@@ -81,3 +77,55 @@ def both(first: Callable[[], First], second: Callable[[], Second]) -> tuple[Firs
 
     side_by_side(work, range(2))
     return cast("First", results[0]), cast("Second", results[1])
+
+
+def _kept(work: Callable[[Given], Result]) -> Callable[[Given], tuple[Result, list[str]]]:
+    """The work for a thread of its own, with what is warned of as a result too."""
+
+    def done(one: Given) -> tuple[Result, list[str]]:
+        with kept_warnings() as said, one_after_the_other():  # all threads are at work
+            return work(one), said
+
+    return done
+
+
+class Ahead(Generic[Given, Result]):
+    """Work on things that are wanted one after the other, where the next may be begun before it is wanted.
+
+    Parameters
+    ----------
+    work
+        What is to be done; as in `side_by_side`.
+    given
+        What it is done to.
+    """
+
+    def __init__(self, work: Callable[[Given], Result], given: Sequence[Given]) -> None:
+        self._work, self._given = work, given
+        self._pool: ThreadPoolExecutor | None = None
+        self._begun: tuple[int, Future[tuple[Result, list[str]]]] | None = None
+
+    def __enter__(self) -> Ahead[Given, Result]:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._pool is not None:
+            self._pool.shutdown(cancel_futures=True)
+
+    def begin(self, place: int) -> None:
+        """Begin with the thing of that place, in another thread; nothing is done where there is none, or one alone."""
+        if place >= len(self._given) or _alone.get():
+            return
+        if self._pool is None:
+            self._pool = ThreadPoolExecutor(1)
+        self._begun = place, self._pool.submit(_kept(self._work), self._given[place])
+
+    def result(self, place: int) -> Result:
+        """What the work makes of the thing of that place, begun or not; what it warned of is said now."""
+        begun, self._begun = self._begun, None
+        if begun is None or begun[0] != place:
+            return self._work(self._given[place])
+        result, said = begun[1].result()
+        for text in said:
+            warn_quality(text)
+        return result

@@ -19,7 +19,8 @@ from aerobalance.dynamics.modal import ModalModel
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.direct import band_limited as band_limited_of
 from aerobalance.estimation.direct import central_differences as central_differences_of
-from aerobalance.estimation.force import estimate_force, force_record
+from aerobalance.estimation.force import estimate_force
+from aerobalance.estimation.force_record import force_record
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.motion.single_axis import GroundMotion
 from aerobalance.recording.channel import Array

@@ -21,8 +21,8 @@ from aerobalance.app.commands.uncertainty import (
     monte_carlo_result,
     scalar_result,
 )
-from aerobalance.app.one_heap import share_one_heap
 from aerobalance.app.reports.force_curves import ForceCurves
+from aerobalance.app.resident_memory import give_back_compiler, share_one_heap
 from aerobalance.estimation.force import ForceWork
 from aerobalance.estimation.force_collector import SummaryOfParts
 from aerobalance.estimation.force_parts import ForcePart, WorstPart
@@ -205,10 +205,15 @@ def _worked_out(work: ForceWork, out: Path, append: Append, *, pictured: bool) -
     """Work out the forces of a record part by part, and write them as they come."""
     record = work.record
     found = _KeptForces(work.working.samples, work.working.every)
+    if work.working.every > 1:  # all of it was looked at
+        give_back_compiler()
     for given in work.parts():
         _append_samples(given, out, append)
         found.add(given, record.start, pictured=pictured)
+        several = given.part.count > 1
         del given  # the next part needs the memory
+        if several:
+            give_back_compiler()
     return found
 
 

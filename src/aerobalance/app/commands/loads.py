@@ -35,9 +35,10 @@ from aerobalance.recording.channel import Array
 from aerobalance.recording.decimation import ends_between_samples
 from aerobalance.recording.errors import FitError
 from aerobalance.recording.part_warnings import PartWarnings
-from aerobalance.recording.parts import parts_of
+from aerobalance.recording.parts import Part, parts_of
 from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.side_by_side import Ahead
 from aerobalance.recording.sensors import corrected
 
 PART: Final = 1 << 16
@@ -114,14 +115,17 @@ def loads(
         reduce = files.reduction(form=form, channel_map=channel_map)
         parts, beside = parts_of(record.samples, length=PART, margin=MARGIN), beside_pieces(record)
         told = PartWarnings(record)
-        with writing(out, samples=record.samples, epoch=record.epoch) as append:
-            for part in PROGRESS.each(parts, "part"):
+
+        def reduced(part: Part) -> tuple[Recording, Loads]:
+            begin, end = max(part.begin - beside, 0), min(part.end + beside, record.samples)
+            recording = corrected(record.part(begin, end)).part(part.begin - begin, part.end - begin)
+            return recording, reduce(recording)
+
+        with writing(out, samples=record.samples, epoch=record.epoch) as append, Ahead(reduced, parts) as ahead:
+            for place, part in enumerate(PROGRESS.each(parts, "part")):
                 with told.of(part):
-                    begin, end = max(part.begin - beside, 0), min(part.end + beside, record.samples)
-                    wide = corrected(record.part(begin, end))
-                    recording = wide.part(part.begin - begin, part.end - begin)
-                    del wide
-                    felt = reduce(recording)
+                    recording, felt = ahead.result(place)
+                ahead.begin(place + 1)
                 own = slice(part.first - part.begin, part.stop - part.begin)
                 append(load_columns(out, recording, own, felt))
                 found.add(felt, own)
