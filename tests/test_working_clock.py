@@ -659,14 +659,33 @@ def of_load(load: np.ndarray, time: np.ndarray, division: Division = DIVISION) -
 def test_what_stands_out_of_few_segments_is_what_noise_does_not(rng) -> None:
     """Of a block of all segments it is twice the level, and of fewer as improbable a density of noise alone."""
     look = Look(RATE, above=1000.0, modes=(66.0,), factor=16)
-    bands = np.array([look._levels(rng.normal(size=LOOK.segment)).bands[0, 1:] for _ in range(400)])
+    bands = np.array([look._levels(rng.normal(size=LOOK.segment)).bands[0, LOOK.parts :] for _ in range(400)])
+    bands = bands.reshape(len(bands), -1, LOOK.parts).mean(axis=2)
     # the variance of 25 000 densities of neighbours that hardly hang together is known to 2 %
     assert np.var(bands) / np.mean(bands) ** 2 == pytest.approx(2 / FREEDOM, rel=0.08)
-    full = LOOK.block // LOOK.segment
-    assert _of_block(full) == pytest.approx(2.0, abs=0.01)
-    for segments in (1, 2, 4):  # of a chi-squared number, closed form
+    full = 2 * LOOK.block // LOOK.segment
+    assert _of_block(full)[0] == pytest.approx(1.8, abs=0.01)
+    for segments in (1, 2, 4, full):  # of a chi-squared number, closed form
         half = FREEDOM * segments / 2
-        assert gammaincc(half, half * _of_block(segments)) == pytest.approx(LOOK.chance, rel=1e-6)
+        band, part = _of_block(segments)
+        assert gammaincc(half, half * band) == pytest.approx(LOOK.chance, rel=1e-6)
+        half /= LOOK.parts
+        assert gammaincc(half, half * part) == pytest.approx(LOOK.chance_of_part, rel=1e-6)
+
+
+@pytest.mark.parametrize("highest", [300.0, 642.0])
+def test_a_load_ends_where_it_does_and_not_where_its_band_or_its_window_does(highest: float, rng) -> None:
+    """Of 60 dB above its noise: a window that leaks, and bands 100 Hz wide, put it up to two thirds farther up."""
+    look = Look(RATE, above=1500.0, modes=(66.0,), factor=16)
+    frequency = np.fft.rfftfreq(SAMPLES, 1 / RATE)
+    load = np.fft.irfft(np.fft.rfft(rng.normal(size=SAMPLES)) * (frequency < highest), SAMPLES)
+    level = 1e-3 * np.sqrt(RATE / 2 / highest) * load.std()
+    noisy = Recording.from_arrays(np.arange(SAMPLES) / RATE, {"AF": load + level * rng.normal(size=SAMPLES)})
+    for begin in (0, SAMPLES - (1 << 15)):
+        look.add([look.at(noisy.part(begin, begin + (1 << 15)), ("AF",))])
+    lines = 0.5 * RATE / (LOOK.segment // 2)
+    # three lines from its end the window leaks 2e-5 of a line, six 2e-8; an edge is that of a part, four lines
+    assert highest <= look.highest <= highest + (6 + 4) * lines
 
 
 def test_noise_alone_is_no_reason_to_keep_it(rng) -> None:

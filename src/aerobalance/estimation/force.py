@@ -60,7 +60,7 @@ one that gains little else: its own smoother needs 8 to 30 ms for each and each 
 FEWEST_SLOWER: Final = 2048
 """Samples of the slower clock that such a record has at least: at its ends the forces are less well known on it."""
 
-FEWEST_FOR_THREADS: Final = 1 << 15
+FEWEST_FOR_THREADS: Final = 3 << 13
 """Samples of a part from which on its components are worked on side by side: of 2000 to 25 000 of six components two
 threads take a quarter more of the processors than one, and as long."""
 

@@ -8,6 +8,7 @@ from functools import cache
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.fft import rfft
 from scipy.special import chdtri
@@ -31,7 +32,7 @@ class LookSettings:
     ----------
     chance
         Probability that the density of a band in a block of noise alone is taken for a load: with all its segments it
-        is a chi-squared of some 135 degrees of freedom over their number, and stands out from twice the level on.
+        is a chi-squared of some 195 degrees of freedom over their number, and stands out from 1.8 times the level on.
     stands_out
         Spectral density of the readings over that of their noise from which on a load is taken to be there in the mean
         of all blocks, at least [1].
@@ -40,8 +41,14 @@ class LookSettings:
         is five of them, and one record of 6 s in a thousand had that.
     block, segment
         Samples of a block, and of the segments over which its spectrum is averaged.
-    bands
-        Number of bands of equal width over which the spectrum is averaged.
+    bands, parts
+        Number of bands of equal width over which the spectrum is averaged, and of parts of each. The upper edge of a
+        load that stands out in a band is that of the highest part where it does, or else the band's.
+    chance_of_part
+        Probability that the density of a part in a block of noise alone is taken for that load: it stands out from
+        1.75 times the level on there, so that what is missed is no more than in a band where nothing stands out.
+    deviations_of_part
+        Standard deviations of the mean of all blocks by which it must stand out in a part.
     gaps
         Gaps of a channel in a piece, at most, for a slower clock: in all, and of those that are not short beside it.
     """
@@ -52,13 +59,16 @@ class LookSettings:
     block: int = 1 << 14
     segment: int = 1 << 11
     bands: int = 64
+    parts: int = 4
+    chance_of_part: float = 1e-3
+    deviations_of_part: float = 3.0
     gaps: tuple[int, int] = (4096, 64)
 
 
 SETTINGS: Final = LookSettings()
 """The settings in use."""
 
-FREEDOM: Final = 17.0
+FREEDOM: Final = 12.2
 """Degrees of freedom of a band's density in a segment: fewer than its 32 numbers, as the window joins ordinates."""
 
 
@@ -68,7 +78,7 @@ class Levels(NamedTuple):
     Attributes
     ----------
     bands
-        Mean of each band, shape (blocks, bands).
+        Mean of each part of the bands, shape (blocks, parts).
     resonant
         Density at each natural frequency, shape (blocks, modes).
     segments
@@ -127,20 +137,14 @@ class Look:
     @property
     def highest(self) -> float:
         """Highest frequency at which a load is above the noise, in one block or in the mean of all [Hz]."""
-        whole = [self._edge(power[None], self._stands_out(name)) for name, power in self._power.items()]
+        whole = [self._edge(power[None], _of_mean(self._segments[name])) for name, power in self._power.items()]
         return max(self._highest, *whole)
-
-    def _stands_out(self, name: str) -> float:
-        """Density of the mean of all blocks of a load over that of its noise from which on a load is there [1]."""
-        least = SETTINGS.stands_out
-        segments = self._segments[name]
-        return max(least, 1 + SETTINGS.deviations * np.sqrt(2 / (FREEDOM * segments))) if segments else least
 
     @property
     def shown(self) -> tuple[float, ...]:
         """Power at each natural frequency over that of the noise, in the block and the load where it is least [1]."""
         ratios = [
-            least * self._blocks[name] / self._noise(self._power[name][None])[0] - 1
+            least * self._blocks[name] / self._noise(_of_bands(self._power[name][None]))[0] - 1
             for name, least in self._least.items()
             if self._blocks[name]
         ]
@@ -197,44 +201,88 @@ class Look:
     def _levels(self, values: Array) -> Levels:
         """Levels of the readings of one load."""
         segment = min(SETTINGS.segment, values.size)
-        count = max(values.size // segment, 1)
-        segments = values[: count * segment].reshape(count, segment)
+        # they overlap by half: nothing that is sudden is where all of them have their ends
+        segments = sliding_window_view(values, segment)[:: max(segment // 2, 1)]
+        count = len(segments)
         whole = np.isfinite(segments).all(axis=1)
         if not whole.all():
             segments = segments[whole]
             count = len(segments)
             if not count:
-                each = max(segment // 2 // SETTINGS.bands, 1)
-                return Levels(np.zeros((0, segment // 2 // each)), np.zeros((0, len(self.modes))), 1)
+                return Levels(np.zeros((0, _parts(segment // 2)[0])), np.zeros((0, len(self.modes))), 1)
         level = segments.mean(axis=1, keepdims=True)
-        spectrum = np.asarray(rfft((segments - level) * hann(segment)), dtype=np.complex128)[:, 1:]
+        spectrum = np.asarray(rfft((segments - level) * _window(segment)), dtype=np.complex128)[:, 1:]
         power = spectrum.real**2 + spectrum.imag**2
-        each = max(power.shape[1] // SETTINGS.bands, 1)
-        bands = power[:, : power.shape[1] // each * each].reshape(count, -1, each).mean(axis=2)
+        parts, each = _parts(power.shape[1])
+        bands = power[:, : parts * each].reshape(count, parts, each).mean(axis=2)
         lines = np.clip(np.round(np.array(self.modes) / self.rate * segment).astype(int) - 1, 0, power.shape[1] - 1)
-        block = max(min(SETTINGS.block // segment, count), 1)
-        of_bands, resonant = (
-            part[: count // block * block].reshape(-1, block, part.shape[1]).mean(axis=1)
-            for part in (bands, power[:, lines])
-        )
-        return Levels(of_bands, resonant, block)
+        block = max(min(2 * SETTINGS.block // segment, count), 1)
+        first = np.arange(0, count - block + 1, block)
+        if first[-1] + block < count:  # the last block has some of the one before
+            first = np.append(first, count - block)
+        within = first[:, None] + np.arange(block)
+        return Levels(bands[within].mean(axis=1), power[:, lines][within].mean(axis=1), block)
 
-    def _edge(self, levels: Array, stands_out: float) -> float:
-        """Upper edge of the highest band that is above the noise in any row of `levels` [Hz]; 0 if none is."""
-        out = np.flatnonzero((levels > stands_out * self._noise(levels)[:, None]).any(axis=0))
-        return float((out[-1] + 1) * 0.5 * self.rate / levels.shape[1]) if out.size else 0.0
+    def _edge(self, parts: Array, stands_out: tuple[float, float]) -> float:
+        """Upper edge of the highest part of a band that is above the noise in any row of `parts` [Hz]; 0 if none is.
 
-    def _noise(self, levels: Array) -> Array:
-        """Level of the noise in every row of `levels`, shape (rows,)."""
-        width = 0.5 * self.rate / levels.shape[1]
-        return np.asarray(np.median(levels[:, int(np.ceil(self.above / width)) :], axis=1))
+        `stands_out` is the density over that of the noise from which on a load is in a band, and in a part of it.
+        """
+        bands = _of_bands(parts)
+        noise = self._noise(bands)[:, None]
+        there = bands > stands_out[0] * noise
+        out = np.flatnonzero(there.any(axis=0))
+        if not out.size:
+            return 0.0
+        rows, first = there[:, out[-1]], out[-1] * SETTINGS.parts
+        within = (parts[rows, first : first + SETTINGS.parts] > stands_out[1] * noise[rows]).any(axis=0)
+        last = int(np.flatnonzero(within)[-1]) + 1 if within.any() else SETTINGS.parts
+        return float((first + last) * 0.5 * self.rate / parts.shape[1])
+
+    def _noise(self, bands: Array) -> Array:
+        """Level of the noise in every row of `bands`, shape (rows,)."""
+        width = 0.5 * self.rate / bands.shape[1]
+        return np.asarray(np.median(bands[:, int(np.ceil(self.above / width)) :], axis=1))
 
 
 @cache
-def _of_block(segments: int) -> float:
-    """Density of a band in a block of so many segments over that of the noise from which on a load is there [1]."""
-    freedom = FREEDOM * segments
-    return float(chdtri(freedom, SETTINGS.chance) / freedom)
+def _window(count: int) -> Array:
+    """Window of a segment of so many samples, shape (count,) [1].
+
+    The square of a Hann window leaks 1e-10 of the power of a line ten lines farther off, where that leaks 8e-8: what
+    leaks from a load seems to be one.
+    """
+    return hann(count) ** 2
+
+
+def _parts(lines: int) -> tuple[int, int]:
+    """Number of parts of the bands of a spectrum of so many lines, and lines of each; the last lines may be left."""
+    each = max(lines // (SETTINGS.bands * SETTINGS.parts), 1)
+    return lines // each // SETTINGS.parts * SETTINGS.parts, each
+
+
+def _of_bands(parts: Array) -> Array:
+    """Means of the bands by those of their parts, shape (rows, bands)."""
+    return np.asarray(parts.reshape(len(parts), -1, SETTINGS.parts).mean(axis=2))
+
+
+@cache
+def _of_block(segments: int) -> tuple[float, float]:
+    """Density in a block of so many segments over that of the noise from which on a load is in a band, and a part."""
+    freedom = FREEDOM * segments, FREEDOM / SETTINGS.parts * segments
+    chances = SETTINGS.chance, SETTINGS.chance_of_part
+    band, part = (float(chdtri(free, chance) / free) for free, chance in zip(freedom, chances, strict=True))
+    return band, part
+
+
+def _of_mean(segments: int) -> tuple[float, float]:
+    """The same of the mean of all blocks, of so many segments together."""
+    least = SETTINGS.stands_out
+    if not segments:
+        return least, least
+    deviation = float(np.sqrt(2 / (FREEDOM * segments)))
+    of_part = 1 + SETTINGS.deviations_of_part * deviation * float(np.sqrt(SETTINGS.parts))
+    return max(least, 1 + SETTINGS.deviations * deviation), max(least, of_part)
 
 
 def _are_few(gaps: NDArray[np.intp]) -> bool:

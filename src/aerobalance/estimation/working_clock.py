@@ -49,7 +49,7 @@ class WorkingClockSettings:
         Further ones of a record with many gaps, whose own smoother needs far more for each than for a sample.
     """
 
-    periods: float = 2.5
+    periods: float = 2.1
     beyond: float = 1.5
     factors: tuple[int, ...] = (16, 15, 14, 12, 10, 9, 8, 7, 6, 5, 4)
     further_for_gaps: tuple[int, ...] = (3, 2)

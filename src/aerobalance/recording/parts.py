@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import next_fast_len
 
-NO_TIME: Final = 1e-3
-"""Sampling intervals from zero up to which a time is zero but for rounding."""
+NO_TIME: Final = 0.5
+"""Sampling intervals from zero below which a time is told as zero: a slower clock begins so much after its record."""
 
 Samples_co = TypeVar("Samples_co", covariant=True)
 """What a part of a record is: a recording, or balance loads."""
@@ -99,7 +99,7 @@ class Part:
     def told(self, record: LongRecord[Any]) -> str:
         """Where it is in a record, in words."""
         times = (record.start + sample / record.rate for sample in (self.first, self.stop))
-        begin, end = (0.0 if abs(time) * record.rate < NO_TIME else time for time in times)
+        begin, end = (0.0 if abs(time) * record.rate <= NO_TIME else time for time in times)
         return f"in part {self.number} of {self.count}, from {begin:.4g} s to {end:.4g} s"
 
 

@@ -38,8 +38,8 @@ from aerobalance.recording.part_warnings import PartWarnings
 from aerobalance.recording.parts import Part, parts_of
 from aerobalance.recording.progress import PROGRESS
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.side_by_side import Ahead
 from aerobalance.recording.sensors import corrected
+from aerobalance.recording.side_by_side import Ahead
 
 PART: Final = 1 << 16
 """Samples of a recording whose loads are worked out at once, 1.5 kB each for six components."""
