@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,6 +75,28 @@ class Rows:
         """The same for channels that hold what others should."""
         back = np.argsort(order)
         return Rows(self.forces[np.ix_(back, back)], self.order[back])
+
+
+@lru_cache(maxsize=256)  # the same rows are asked at the same frequencies in all parts of a record
+def mean_determinant(rows: Rows, step: float, first: int, last: int, *, fine: int) -> Array:
+    """Mean about ordinates of the logarithm of the squared determinant of rows, shape (m,); not to be written to.
+
+    Parameters
+    ----------
+    rows
+        The rows.
+    step
+        Distance of two ordinates [Hz].
+    first, last
+        The first of the m ordinates and the one after the last, as multiples of it.
+    fine
+        Points of each over which it is averaged.
+    """
+    offsets = (np.arange(fine) + 0.5) / fine - 0.5
+    places = step * (np.arange(first, last)[:, None] + offsets).ravel()
+    found = np.asarray(rows.determinant(places).reshape(-1, fine).mean(axis=1))
+    found.setflags(write=False)
+    return found
 
 
 def powers_of(one: DecoupledChannel, loads: Array, *, interval: float) -> Array:

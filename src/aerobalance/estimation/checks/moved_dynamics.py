@@ -71,8 +71,14 @@ class Moved:
     @property
     def rows(self) -> Rows:
         """Their rows."""
-        dynamics = self.moved
-        return Rows(np.stack([np.eye(len(dynamics.inertia)), dynamics.damping, dynamics.inertia], axis=-1))
+        return _rows_of(self.dynamics, self.changes.tobytes())
+
+
+@lru_cache(maxsize=256)  # the same changes are tried of all parts of a record
+def _rows_of(dynamics: CoupledDynamics, changes: bytes) -> Rows:
+    """Rows of dynamics whose modes have moved."""
+    moved = Moved(dynamics, np.frombuffer(changes).reshape(-1, 2)).moved
+    return Rows(np.stack([np.eye(len(moved.inertia)), moved.damping, moved.inertia], axis=-1))
 
 
 @lru_cache(maxsize=4)  # a hundred changes are tried of the same dynamics

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from aerobalance.dynamics.decoupling import DecoupledChannel
 from aerobalance.estimation.checks._covariance_kernels import likeliest_covariances
 from aerobalance.estimation.checks._level_kernels import ForceLines, likeliest_levels, likeliest_levels_and_noise
-from aerobalance.estimation.checks.channel_rows import Rows, powers_of, product_of_modes
+from aerobalance.estimation.checks.channel_rows import Rows, mean_determinant, powers_of, product_of_modes
 from aerobalance.estimation.checks.coherence import WORTH_A_LOOK, excess_of_coherence
 from aerobalance.estimation.checks.split_loads import SplitLoads
 from aerobalance.estimation.coupled_record import CoupledRecord
@@ -450,10 +450,9 @@ class RingingSpectra:
 
     def determinant(self, rows: Rows) -> Array:
         """Mean about every ordinate of the logarithm of the squared determinant of the rows, shape (m,)."""
-        step = self.frequency[1] - self.frequency[0]
-        offsets = (np.arange(SETTINGS.fine) + 0.5) / SETTINGS.fine - 0.5
-        places = (self.frequency[:, None] + step * offsets).ravel()
-        return np.asarray(rows.determinant(places).reshape(-1, SETTINGS.fine).mean(axis=1))
+        step = float(self.frequency[1] - self.frequency[0])
+        first = round(float(self.frequency[0]) / step)
+        return mean_determinant(rows, step, first, first + self.frequency.size, fine=SETTINGS.fine)
 
 
 def _window(count: int, interval: float) -> Array:
