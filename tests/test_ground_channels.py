@@ -14,8 +14,15 @@ from aerobalance.estimation.applied_force import Force
 from aerobalance.estimation.checks.ground_alignment import alone
 from aerobalance.estimation.checks.ground_channels import GroundFault, _gains_of_delays, ground_findings, measured
 from aerobalance.estimation.checks.ground_doubts import LEFT_OPEN, _of_the_delay
-from aerobalance.estimation.checks.ground_witnesses import SETTINGS, Witness, Witnesses, above_noise
-from aerobalance.estimation.checks.white_readings import Lines, Solved, White, length_of, lines_of
+from aerobalance.estimation.checks.ground_witnesses import (
+    SETTINGS,
+    Witness,
+    Witnesses,
+    above_noise,
+    length_of,
+    lines_of_motion,
+)
+from aerobalance.estimation.checks.white_readings import Lines, Solved, White, lines_of
 from aerobalance.estimation.component_force import Fitted
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.recording.channel import Array
@@ -34,6 +41,8 @@ SOUND = {
     "accelerometers and turns": {},
     "faint motion": {"motion": 1.0, "load": 0.02},
     "rates of turn": {"turning": "rate"},
+    "faint motion in the band of the load": {"motion": 0.3, "load": 0.05, "highest": 100.0},
+    "motion in the band of the load": {"motion": 3.0, "load": 0.05, "highest": 100.0},
     "pitching": {
         "pitch": lambda time: 0.1 + 0.02 * np.sin(2 * np.pi * 1.3 * time),
         "roll": lambda time: 0.02 * np.sin(2 * np.pi * 0.9 * time + 1) - 0.2,
@@ -251,10 +260,12 @@ def test_sizes_scatter_as_they_are_said_to(seed):
         for name in asked.changes.channels:
             shapes = asked.shapes_of(name)
             assert shapes is not None
-            found.append(white.solved(white.with_drift(shapes.felt)).explained)
-            exact = white.solved(white.columns(asked.with_drift(shapes).felt)).explained
+            quick = white.with_drift(shapes.felt, moves=shapes.moves)
+            columns = white.columns(asked.with_drift(shapes).felt, moves=shapes.moves)
+            found.append(white.solved(quick).explained)
+            exact = white.solved(columns).explained
             # one direction of three is turned by this angle: what the readings hold across it, one by chance, comes in
-            turned = angle_between(white, white.with_drift(shapes.felt), white.columns(asked.with_drift(shapes).felt))
+            turned = angle_between(white, quick, columns)
             across = 5 * turned
             assert abs(found[-1] - exact) <= 2 * across * np.sqrt(exact) + across**2
             # it decides whether the exact one is worked out, at a chi-square of 6.25, once in ten by chance: by one of
@@ -386,6 +397,45 @@ def test_forces_that_go_with_the_angle_are_not_taken_for_its_gain(seed):
     assert about_ground(run.force) == []
     # what was taken for the angle's error counted a hundred to several thousand times the force's own
     assert min(run.ratios(run.force).values()) > 1 / 3
+
+
+@pytest.mark.soak(first=0)
+def test_another_sign_is_told_where_the_load_has_the_band_of_the_motion(seed):
+    """Above that band nothing but the noise of the channels is in the readings, which tells no gain."""
+    for one in range(trials(2, 8)):
+        made = shaken(np.random.default_rng([seed, one]), motion=3.0, load=0.05, highest=100.0)
+        made = made.with_gain("ground_acceleration_z", -1.0).used
+        force = made.force
+        assert any("ground_acceleration_z" in doubt.text for doubt in about_ground(force))
+        assert force.verdict != Verdict.FIT
+        # the motion is in a third of some 200 lines that tell it: what they do not is in u, and chance beside it
+        assert max(made.ratios(force).values()) < 2
+
+
+def test_a_motion_is_known_at_its_ends_and_where_it_is(rng):
+    """It is cut out of a longer one, and goes on beyond its ends; above its band its channel reads noise."""
+    count, highest, noise = 9000, 0.02, 1e-3
+    frequency = np.fft.rfftfreq(4 * count)
+    inside = (frequency > 4e-4) & (frequency < highest)
+    lines = np.fft.rfft(rng.normal(size=4 * count)) * inside
+    whole, rate = np.fft.irfft(lines, 4 * count), np.fft.irfft(2j * np.pi * frequency * lines, 4 * count)
+    some, size = slice(count, 2 * count), whole.std()
+    true, true_rate = whole[some] / size - np.mean(whole[some]) / size, rate[some] / size
+    read = true + noise * rng.normal(size=count)
+    step = 1 / length_of(count)
+    moving = np.flatnonzero(lines_of_motion(read - read.mean(), noise=noise)) * step
+    # the window is four lines of the record wide either way, and neighbours are asked with a line
+    wide = 4 / count + SETTINGS.lines * step
+    assert highest - wide < moving[-1] < highest + wide
+    motion, change = above_noise(read - read.mean(), noise=noise)
+    off, away = motion - motion.mean() - true + true.mean(), change - true_rate
+    # its bends at the ends, where it is reflected, are rounded off over a period of what is passed: at most a tenth of
+    # its size in 120 ends
+    beside = slice(50, -50)
+    assert np.abs(off).max() < 0.2
+    last = SETTINGS.passed[1] * highest
+    assert np.sqrt(np.mean(off[beside] ** 2)) < noise * np.sqrt(2 * last)
+    assert np.sqrt(np.mean(away[beside] ** 2)) < noise * np.sqrt(2 * last) * 2 * np.pi * last
 
 
 def test_a_line_of_noise_is_no_motion():

@@ -24,8 +24,8 @@ from scipy.fft import irfft
 from scipy.special import chdtri, expit
 
 from aerobalance.estimation.checks.assumptions import SETTINGS as ASSUMED
-from aerobalance.estimation.checks.ground_witnesses import SETTINGS, ChannelShapes, Witness, Witnesses
-from aerobalance.estimation.checks.white_readings import Lines, Solved, White, length_of
+from aerobalance.estimation.checks.ground_witnesses import SETTINGS, ChannelShapes, Witness, Witnesses, length_of
+from aerobalance.estimation.checks.white_readings import Lines, Solved, White
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
 from aerobalance.recording.doubts import Assumption
@@ -135,7 +135,7 @@ def ground_findings(asked: Witnesses) -> dict[str, GroundFindings]:
         shapes = asked.shapes_of(name)
         if shapes is None:
             return _Look()
-        columns = white.with_drift(shapes.felt)
+        columns = white.with_drift(shapes.felt, moves=shapes.moves)
         found = white.solved(columns, expected=asked.expected)
         hint = Far.of(white, columns[..., 1], samples=asked.recording.samples, pace=shapes.pace)
         late = hint is not None and hint.gained >= asked.promising(shapes.pace)
@@ -154,7 +154,7 @@ def ground_findings(asked: Witnesses) -> dict[str, GroundFindings]:
         )
 
     looks = dict(zip(asked.changes.channels, side_by_side(looked_at, asked.changes.channels), strict=True))
-    faults = _faults(asked, list(looks.values()))
+    faults = _faults(asked, white, list(looks.values()))
     named = {fault.channel for found in faults.values() for fault in found}
     untold = {name: look.untold for name, look in looks.items() if look.untold is not None and name not in named}
     return {
@@ -163,14 +163,14 @@ def ground_findings(asked: Witnesses) -> dict[str, GroundFindings]:
     }
 
 
-def _faults(asked: Witnesses, looks: Sequence[_Look]) -> Mapping[str, list[GroundFault]]:
+def _faults(asked: Witnesses, white: White, looks: Sequence[_Look]) -> Mapping[str, list[GroundFault]]:
     """What the loads say of the channels, by component."""
     lateness = [look.far for look in looks if look.far is not None]
-    near = _together(asked, [look.shapes for look in looks if look.shapes is not None])
+    near = _together(asked, white, [look.shapes for look in looks if look.shapes is not None])
     if lateness:
         hint, shapes = max(lateness, key=lambda one: one[0].gained)
         # of motions that all take the same course a delay of one may stand for the sign of another
-        far = _far(asked, shapes, samples=hint.samples)
+        far = _far(asked, white, shapes, samples=hint.samples)
         return far.faults if far.explained > near.explained else near.faults
     return near.faults
 
@@ -205,13 +205,13 @@ class _Faults(NamedTuple):
     faults: Mapping[str, list[GroundFault]] = MappingProxyType({})
 
 
-def _together(asked: Witnesses, suspects: list[ChannelShapes]) -> _Faults:
+def _together(asked: Witnesses, white: White, suspects: list[ChannelShapes]) -> _Faults:
     """What the loads say of several channels: first the one that explains most of them, then the others beside it."""
     chosen: list[int] = []
     if not suspects:
         return _Faults()
-    white = _without(asked, suspects)
-    columns = [white.columns(one.felt) for one in suspects]
+    white = _without(asked, white, suspects)
+    columns = [white.columns(one.felt, moves=one.moves) for one in suspects]
 
     expected, by_gain = [asked.expected for _ in suspects], list[int]()
 
@@ -272,10 +272,12 @@ def _agree(white: White, own: Lines, expected: Array, *, gained: float) -> bool:
     return each - gained < max(by_chance, SETTINGS.inexact * gained)
 
 
-def _without(asked: Witnesses, channels: Sequence[ChannelShapes]) -> White:
+def _without(asked: Witnesses, white: White, channels: Sequence[ChannelShapes]) -> White:
     """White readings by priors that are learned anew, what may be left of the motion by some channels taken out."""
+    columns = np.concatenate([white.columns(one.felt, moves=one.moves) for one in channels], axis=-1)
+    sizes = white.each(columns)
     filters = [
-        one.without(np.column_stack([one.known, *(channel.felt[place] for channel in channels)]))
+        one.without(np.column_stack([channel.felt[place] for channel in channels]) @ sizes[place])
         for place, one in enumerate(asked.all)
     ]
     return White.of(asked, filters, without=channels)
@@ -305,10 +307,10 @@ def measured(asked: Witnesses, name: str) -> tuple[ChannelShapes, Solved] | None
         return None
     shapes = asked.with_drift(shapes)
     white = White.of(asked, [one.fit.filter for one in asked.all])
-    found = white.solved(white.columns(shapes.felt), expected=asked.expected)
+    found = white.solved(white.columns(shapes.felt, moves=shapes.moves), expected=asked.expected)
     if found.explained > asked.worth_a_look:
-        white = _without(asked, [shapes])
-        found = white.solved(white.columns(shapes.felt), expected=asked.expected)
+        white = _without(asked, white, [shapes])
+        found = white.solved(white.columns(shapes.felt, moves=shapes.moves), expected=asked.expected)
     return shapes, found
 
 
@@ -381,7 +383,7 @@ def _peak_of(gains: Array) -> tuple[float, float]:
     return top + float(np.clip(slope * u**2, away[0], away[-1])), u
 
 
-def _far(asked: Witnesses, shapes: ChannelShapes, *, samples: int) -> _Faults:
+def _far(asked: Witnesses, white: White, shapes: ChannelShapes, *, samples: int) -> _Faults:
     """What the loads say of a channel that is later than slopes tell; nothing where it is not.
 
     What the channel should have read is what it read, moved in time and of another size: of many delays that one is
@@ -395,12 +397,12 @@ def _far(asked: Witnesses, shapes: ChannelShapes, *, samples: int) -> _Faults:
 
     size = SETTINGS.probe * h
     here, there, early, late = (felt(delay) for delay in (0.0, samples * h, samples * h - size, samples * h + size))
-    moved = [np.column_stack([one, (b - a) / (2 * size)]) for one, a, b in zip(there, early, late, strict=True)]
-    filters = [
-        one.without(np.column_stack([one.known, *own])) for one, *own in zip(asked.all, moved, here, strict=True)
-    ]
+    rates = [(b - a) / (2 * size) for a, b in zip(early, late, strict=True)]
+    moved = [np.column_stack(own) for own in zip(there, rates, here, strict=True)]
+    sizes = white.each(white.columns(moved, moves=shapes.moves))
+    filters = [one.without(own @ of_one) for one, own, of_one in zip(asked.all, moved, sizes, strict=True)]
     white = White.of(asked, filters)
-    motion = white.columns([own[:, None] for own in here])[..., 0]
+    motion = white.columns([own[:, None] for own in here], moves=shapes.moves)[..., 0]
     whole = white.shown + motion
     # by the likelihood and not by the slope of what is read: that has the slope of the sensor's noise in it
     gains = _gains_of_delays(white, motion, whole, samples=asked.recording.samples)
@@ -410,7 +412,7 @@ def _far(asked: Witnesses, shapes: ChannelShapes, *, samples: int) -> _Faults:
     away, u_away = _peak_of(gains[first : middle + quarter + 1])
     delay, u_delay = h * (first - gains.size // 2 + away), h * u_away
     there = felt(delay)
-    found = white.solved(white.columns([own[:, None] for own in there]), whole)
+    found = white.solved(white.columns([own[:, None] for own in there], moves=shapes.moves), whole)
     (gain,), (u_gain,) = found.sizes, found.u
     gained = white.squares(white.shown) - white.squares(whole) + found.explained
     if gain <= 0 or gained < 2 * SETTINGS.decisive:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import irfft, rfft
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import chdtrc, chdtri, ndtr, ndtri
 
 from aerobalance.estimation.checks.assumptions import passed_by, stretches_in
@@ -56,11 +56,12 @@ class GroundChannelSettings:
         Chi-square of delay, gain and drift (three degrees of freedom) from which the force's spectrum is learned again
         without them, of one channel: once in ten by chance, as often as of one of several then. With what is left of
         the motion in the force it is far less than without.
-    bands, stands_out, clearly
-        Bands of a channel's spectrum, its level over that of its noise from which a band has motion, and from which it
-        is motion alone: where the force has no power, a shape is compared with the noise of the load alone, and its
-        own noise counts against it. Cut off at one frequency, motion would swing there beside the ends of the record,
-        as no load does: that passes for knowledge of the delay.
+    bands, stands_out
+        Bands of a channel's spectrum, and the level over that of its noise from which there is motion.
+    lines
+        Lines before and after one, itself among them, in which motion stands out if that one is motion.
+    passed
+        Frequency over the highest that stands out up to which a channel is taken as it is, and from which not at all.
     probe
         Delay by which slopes are taken [samples], and change of the gain [1].
     most
@@ -108,7 +109,8 @@ class GroundChannelSettings:
     worth_a_look: float = 6.25
     bands: int = 100
     stands_out: float = 30.0
-    clearly: float = 300.0
+    lines: int = 9
+    passed: tuple[float, float] = (2.0, 4.0)
     probe: float = 0.02
     most: float = 64.0
     settled: float = 0.1
@@ -176,13 +178,13 @@ class Witness:
         power = 2 * float(np.sum(np.abs(lines) ** 2)) / (first.size * size * float(np.sum(taper**2)))
         return float(np.sqrt(power + np.var(slow)))
 
-    def without(self, shapes: Array) -> KalmanFilter:
-        """The filter of the prior that is learned anew, shapes in the readings left out, shape (n, p)."""
+    def without(self, load: Array) -> KalmanFilter:
+        """The filter of the prior that is learned anew, a balance load in the readings left out, shape (n,)."""
         # what was learned took what is left of the motion for force: with it taken out the force is less
         reading = self.fit.reading
-        return KalmanFilter.of(
-            reading.system(fit_prior(reading, columns=shapes, before=self.fit.learned)), reading.present
-        )
+        less = replace(reading, values=reading.values - load)
+        prior = fit_prior(less, columns=self.known, before=self.fit.learned)
+        return KalmanFilter.of(reading.system(prior), reading.present)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -197,11 +199,15 @@ class ChannelShapes:
         The specific force that a unit of each of its shapes makes, shape (n,) or (n, 6) each.
     felt
         The load of each component felt under it, shape (n, p) each [N].
+    moves
+        Lines at which the channel shows motion, of series as long as `length_of` says, shape (m,): at others the
+        shapes are its noise, which is in the readings as the motion is that was taken off, and tells no gain.
     """
 
     name: str
     slopes: tuple[Array, ...]
     felt: tuple[Array, ...]
+    moves: NDArray[np.bool_]
 
     @property
     def pace(self) -> float:
@@ -254,7 +260,9 @@ class Witnesses:
         if not np.isfinite(values).all() or float(np.ptp(values)) == 0:
             return None
         # noise of the channel is no motion: taken along, it would make every gain and delay too small
-        motion, rate = above_noise(values - values.mean(), noise=channel_noise(channel))
+        values = values - values.mean()
+        noise = channel_noise(channel)
+        motion, rate = above_noise(values, noise=noise)
         late = -SETTINGS.probe * rate
         slopes = [
             self.change(name, change) / size
@@ -264,14 +272,14 @@ class Witnesses:
             return None
         # what is left in the readings where the channel is so late or reads so much less
         felt = tuple(np.column_stack([one.felt(slope) for slope in slopes]) for one in self.all)
-        return ChannelShapes(name, tuple(slopes), felt)
+        return ChannelShapes(name, tuple(slopes), felt, lines_of_motion(values, noise=noise))
 
     def with_drift(self, shapes: ChannelShapes) -> ChannelShapes:
         """Shapes of a channel with its rate growing along the record."""
         rate = shapes.slopes[0]
         slope = (rate.T * ramp_of(rate.shape[0])).T
         felt = tuple(np.column_stack([own, one.felt(slope)]) for one, own in zip(self.all, shapes.felt, strict=True))
-        return ChannelShapes(shapes.name, (*shapes.slopes, slope), felt)
+        return replace(shapes, slopes=(*shapes.slopes, slope), felt=felt)
 
     @property
     def expected(self) -> Array:
@@ -323,7 +331,10 @@ def ramp_of(count: int) -> Array:
 
 
 def above_noise(values: Array, *, noise: float) -> tuple[Array, Array]:
-    """Return a channel at the frequencies where it stands out of its white noise, and its rate, in its unit.
+    """Return a channel without its white noise far above the band of its motion, and its rate, in its unit.
+
+    It is as it is up to twice the highest frequency that stands out of the noise. A motion that goes on beyond the
+    ends of a record has lines above its band: cut off there, it would swing beside the ends as no load does.
 
     Parameters
     ----------
@@ -341,20 +352,51 @@ def above_noise(values: Array, *, noise: float) -> tuple[Array, Array]:
     if not _moves(values, noise=noise):
         return np.zeros(count), np.zeros(count)
     line = np.linspace(values[0], values[-1], count)
+    moving = np.flatnonzero(lines_of_motion(values, noise=noise))
+    if not moving.size:
+        return line, np.full(count, line[1] - line[0])
     # reflected at points, its rate goes on at the ends: what a bend there does, the load would have to show as well
     reflected = np.concatenate([values - line, (line - values)[::-1]])
     lines = rfft(reflected)
-    edges, level = _levels(lines)
-    above = np.log(np.maximum(level, 1e-300) / max(SETTINGS.stands_out * noise**2, 1e-300))
-    share = np.clip(above / np.log(SETTINGS.clearly / SETTINGS.stands_out), 0.0, 1.0)
-    if not share.any():
-        return line, np.full(count, line[1] - line[0])
-    middle = np.log(np.sqrt(edges[:-1] * np.maximum(edges[1:] - 1, edges[:-1])))
-    kept = np.concatenate([[0.0], np.interp(np.log(np.arange(1, lines.size)), middle, share)])
-    lines = lines * kept
+    over = np.arange(lines.size) / (2 * count) / (max(float(moving[-1]), 1.0) / length_of(count))
+    whole, none = SETTINGS.passed
+    lines *= 0.5 + 0.5 * np.cos(np.pi * np.clip((over - whole) / (none - whole), 0.0, 1.0))
+    lines[0] = 0.0
     by_rate = 1j * np.pi * np.arange(lines.size) / count
     motion, rate = (irfft(one, 2 * count)[:count] for one in (lines, by_rate * lines))
     return np.asarray(line + motion), np.asarray(line[1] - line[0] + rate)
+
+
+def length_of(count: int) -> int:
+    """Samples of a series of so many with as many zeros behind it as a delay may have, an even number."""
+    return 2 * int(next_fast_len(-(-int(count * (1 + SETTINGS.reach)) // 2), real=True))
+
+
+def lines_of_motion(values: Array, *, noise: float) -> NDArray[np.bool_]:
+    """Lines at which a channel stands out of its white noise, of a series as long as `length_of` says, shape (m,).
+
+    The window lets nothing leak beyond the band of the motion, as the ends of the record do: the lines before one and
+    those after it stand out both.
+
+    Parameters
+    ----------
+    values
+        Its readings less their mean, without gaps, shape (n,).
+    noise
+        Standard uncertainty of one of them.
+    """
+    window = hann(values.size) ** 2
+    lines = rfft(values * window, length_of(values.size))
+    power = np.square(np.abs(lines)) / float(window @ window)
+    own = np.minimum(_mean_of_following(power), _mean_of_following(power[::-1])[::-1])
+    return np.asarray(own > SETTINGS.stands_out * noise**2)
+
+
+def _mean_of_following(power: Array) -> Array:
+    """Mean of each line and those that follow it, as many as `lines` and fewer at the end, shape (m,)."""
+    total = np.concatenate([[0.0], np.cumsum(power)])
+    last = np.minimum(np.arange(power.size) + SETTINGS.lines, power.size)
+    return np.asarray((total[last] - total[:-1]) / (last - np.arange(power.size)))
 
 
 def _levels(lines: NDArray[np.complex128]) -> tuple[NDArray[np.intp], Array]:

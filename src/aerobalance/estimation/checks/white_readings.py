@@ -12,9 +12,16 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import next_fast_len, rfft
+from scipy.fft import rfft
 
-from aerobalance.estimation.checks.ground_witnesses import SETTINGS, SHAPES, ChannelShapes, Witnesses, ramp_of
+from aerobalance.estimation.checks.ground_witnesses import (
+    SETTINGS,
+    SHAPES,
+    ChannelShapes,
+    Witnesses,
+    length_of,
+    ramp_of,
+)
 from aerobalance.estimation.least_squares import DEPENDENT, whitened
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.recording.channel import Array
@@ -120,20 +127,22 @@ class White:
         if len(shown) == 1:
             return plain
         if without:
-            felt = [np.column_stack([one.felt[place] for one in without]) for place in range(len(shown))]
-            left = [
-                _less(one, _orthonormal(plain.placed(own, place)))
-                for place, (one, own) in enumerate(zip(shown, felt, strict=True))
-            ]
-            lines = lines_of(np.column_stack(left))
+            columns = [plain.columns(one.felt, moves=one.moves) for one in without]
+            together = np.concatenate(columns, axis=-1)
+            lines = lines - np.einsum("mcp,cp->mc", together, plain.each(together))
         weights, edges = _weights(lines, samples=shown[0].size)
         return replace(plain, weights=weights, edges=edges)
 
-    def columns(self, felt: Sequence[Array]) -> Lines:
-        """Lines of balance loads by each component, shape (n, p) each, in its white readings, shape (m, c, p)."""
-        return np.stack([lines_of(self.placed(own, place)) for place, own in enumerate(felt)], axis=1)
+    def columns(self, felt: Sequence[Array], *, moves: NDArray[np.bool_]) -> Lines:
+        """Lines of balance loads by each component, shape (n, p) each, in its white readings, shape (m, c, p).
 
-    def with_drift(self, felt: Sequence[Array]) -> Lines:
+        They are zero where nothing moves, and what is asked of them is asked of the other lines alone.
+        """
+        found = np.stack([lines_of(self.placed(own, place)) for place, own in enumerate(felt)], axis=1)
+        found[~moves] = 0.0
+        return found
+
+    def with_drift(self, felt: Sequence[Array], *, moves: NDArray[np.bool_]) -> Lines:
         """The same with the first shape growing along the record: white readings remember but a part of it."""
         count, shapes = felt[0].shape
         ramp, rows = ramp_of(count), np.empty((shapes + 1, count))
@@ -144,6 +153,7 @@ class White:
             rows[:-1] = self.placed(own, place).T
             np.multiply(ramp, rows[0], out=rows[-1])
             found[:, place] = lines_of(rows.T)
+        found[~moves] = 0.0
         return found
 
     def placed(self, felt: Array, place: int) -> Array:
@@ -161,6 +171,12 @@ class White:
             whole = np.concatenate([some, shown[own, :, None]], axis=-1)
             both += _sum(np.matmul(weight, some), whole)  # weights are Hermitian
         return Solved.of(both[:, :-1], both[:, -1], expected=expected)
+
+    def each(self, columns: Lines) -> Array:
+        """Sizes of shapes in the readings of each component by itself, shape (c, p)."""
+        own = (columns[:, [place]] for place in range(columns.shape[1]))
+        shown = (self.shown[:, [place], None] for place in range(columns.shape[1]))
+        return np.stack([Solved.of(_sum(x, x), _sum(x, y)[:, 0]).sizes for x, y in zip(own, shown, strict=True)])
 
     def squares(self, shown: Lines) -> float:
         """Sum of the squares of readings, shape (m, c), less what they have in common."""
@@ -183,11 +199,6 @@ def _inside(series: Array, ends: int) -> Array:
     if ends:
         series[:ends] = series[-ends:] = 0.0
     return series
-
-
-def length_of(count: int) -> int:
-    """Samples of a series of so many with as many zeros behind it as a delay may have, an even number."""
-    return 2 * int(next_fast_len(-(-int(count * (1 + SETTINGS.reach)) // 2), real=True))
 
 
 def lines_of(series: Array) -> Lines:
