@@ -71,7 +71,7 @@ class Systematic:
 
     @property
     def few(self) -> Systematic:
-        """The same by as few independent quantities of variance 1 as show in the force."""
+        """The same by as few independent quantities of variance 1 as show in the force, in single precision."""
         root = self.numbers
         if not root.size or not self.slopes.size:
             none = np.zeros((self.slopes.shape[0], 0))
@@ -80,9 +80,9 @@ class Systematic:
         kept = turned[:, power > UNSEEN**2 * power.sum()]
         names = tuple(f"combination {number}" for number in range(1, kept.shape[1] + 1))
         covariance = np.eye(kept.shape[1])
-        return replace(
-            self, quantities=names, slopes=self.slopes @ (root @ kept), covariance=covariance, root=kept.T.copy()
-        )
+        # seven digits of an uncertainty: of all that is kept of a part of a long record this is the most
+        slopes = (self.slopes @ (root @ kept)).astype(np.float32)
+        return replace(self, quantities=names, slopes=slopes, covariance=covariance, root=kept.T.copy())
 
     def within(self, samples: slice) -> Systematic:
         """The same for some of the samples."""

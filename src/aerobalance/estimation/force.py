@@ -336,9 +336,9 @@ def _undivided(
             f"noise has {', '.join(unknown)}, which the dynamics do not have; they have {', '.join(model.components)}"
         )
     parts = forces_of(record, settings, noises=noises, few=not whole)
-    then()
     if isinstance(given, Loads):
         parts = with_matrix(parts, given, model)
+    then()
     known = partial(_known, record, given if isinstance(given, Loads) else None)
     # what rounding leaves of a dead channel is no noise
     own = {
