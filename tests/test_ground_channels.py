@@ -26,10 +26,10 @@ from aerobalance.estimation.checks.white_readings import Lines, Solved, White, l
 from aerobalance.estimation.component_force import Fitted
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.recording.channel import Array
-from aerobalance.recording.components import COMPONENTS
+from aerobalance.recording.components import COMPONENTS, MOMENTS
 from aerobalance.recording.doubts import Doubt, Verdict
 from aerobalance.recording.resampling import interpolate_gaps
-from aerobalance.simulation import Sensor, SixComponentRig, broadband
+from aerobalance.simulation import BaseMotion, Sensor, SixComponentRig, broadband, random_motion
 from aerobalance.simulation.six_balance import random_balance
 from aerobalance.simulation.six_signals import Band
 from faults.cases import Case, all_cases
@@ -410,6 +410,32 @@ def test_another_sign_is_told_where_the_load_has_the_band_of_the_motion(seed):
         assert force.verdict != Verdict.FIT
         # the motion is in a third of some 200 lines that tell it: what they do not is in u, and chance beside it
         assert max(made.ratios(force).values()) < 2
+
+
+def not_turning(time: Array) -> Array:
+    return np.zeros((time.size, 3))
+
+
+@pytest.mark.soak(first=1)
+@pytest.mark.parametrize("centre", [0.12, 1.86])
+def test_a_burst_of_motion_near_an_end_is_asked(centre, seed):
+    """A window over all of the record has a ten millionth of its power there."""
+    for one in range(trials(1, 4)):
+        rng = np.random.default_rng([seed, one])
+        balance, along = random_balance(rng), np.array([name not in MOMENTS for name in COMPONENTS], dtype=float)
+        whole = random_motion(rng, Band(2, 40), rms=10 * np.ones(6), period=4.0)
+
+        def at(time: Array, whole: BaseMotion = whole, along: Array = along) -> Array:
+            return whole.acceleration(time) * along * np.exp(-0.5 * ((time - centre) / 0.02) ** 2)[:, None]
+
+        base = BaseMotion(at, not_turning, not_turning)
+        gusts = broadband(rng, Band(0, 100), rms=0.005 * balance.half_range, period=4.0)
+        rig = SixComponentRig(balance, applied=gusts, base=base, output="loads", rate=RATE)
+        run = rig.run(2.0, rng)
+        made = Shaken(run.recording, replace(balance.dynamics, mass=balance.mass), run.applied)
+        force = made.with_gain("ground_acceleration_z", -1.0).used.force
+        assert any("ground_acceleration_z" in doubt.text for doubt in about_ground(force))
+        assert force.verdict != Verdict.FIT
 
 
 def test_a_motion_is_known_at_its_ends_and_where_it_is(rng):

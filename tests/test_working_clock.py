@@ -688,6 +688,28 @@ def test_a_load_ends_where_it_does_and_not_where_its_band_or_its_window_does(hig
     assert highest <= look.highest <= highest + (6 + 4) * lines
 
 
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+@pytest.mark.parametrize(
+    ("every", "missing", "clock"), [(1500, 12, 16), (1900, 12, 16), (1000, 20, 1), (6 << 16, 5 * 12_800, 16)]
+)
+def test_pieces_without_a_whole_segment_are_looked_at(every: int, missing: int, clock: int, rng) -> None:
+    """As of dropouts that come again and again, or of one as long as a piece."""
+    values = NOISE * rng.normal(size=6 << 16)
+    first = np.arange(1 << 16, values.size - missing, every)
+    values[(first[:, None] + np.arange(missing)).ravel()] = np.nan
+    assert work(recording(values)).working.every == clock
+
+
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+@pytest.mark.parametrize("late", [0, 700, 1024])
+def test_a_burst_where_pieces_meet_is_seen(late: int, rng) -> None:
+    """The window is zero at the ends of a piece: its neighbour has them in the middle of a segment."""
+    values = NOISE * rng.normal(size=6 << 16)
+    place, time = (2 << 16) + late, np.arange(-200, 200) / RATE
+    values[place - 200 : place + 200] += 25 * NOISE * np.sin(2 * np.pi * 2500 * time) * np.hanning(400)
+    assert work(recording(values)).working.every == 1
+
+
 def test_noise_alone_is_no_reason_to_keep_it(rng) -> None:
     """Of white noise and of a balance at rest: one record in thousands of years would seem to have a load above."""
     for _ in range(20):

@@ -201,7 +201,7 @@ class Look:
     def _levels(self, values: Array) -> Levels:
         """Levels of the readings of one load."""
         segment = min(SETTINGS.segment, values.size)
-        # they overlap by half: nothing that is sudden is where all of them have their ends
+        # they overlap by half: but at the ends of the record nothing sudden is where all of them have their ends
         segments = sliding_window_view(values, segment)[:: max(segment // 2, 1)]
         count = len(segments)
         whole = np.isfinite(segments).all(axis=1)
@@ -263,7 +263,7 @@ def _parts(lines: int) -> tuple[int, int]:
 
 def _of_bands(parts: Array) -> Array:
     """Means of the bands by those of their parts, shape (rows, bands)."""
-    return np.asarray(parts.reshape(len(parts), -1, SETTINGS.parts).mean(axis=2))
+    return np.asarray(parts.reshape(len(parts), parts.shape[1] // SETTINGS.parts, SETTINGS.parts).mean(axis=2))
 
 
 @cache

@@ -22,6 +22,7 @@ import numpy as np
 
 from aerobalance.balance.loads import Loads
 from aerobalance.dynamics.balance_dynamics import BalanceDynamics
+from aerobalance.estimation.record_look import SETTINGS as LOOK
 from aerobalance.estimation.record_look import Look, Piece
 from aerobalance.estimation.working_record import AT_ONCE, DecimatedRecord, Given, MadeReady
 from aerobalance.recording.components import is_gauge
@@ -127,9 +128,9 @@ def _with_noise(given: Given, noise: Mapping[str, float]) -> Given:
 
 
 def _pieces(samples: int) -> tuple[list[int], int]:
-    """First samples of the pieces in which a record is examined, and their length; the last one may overlap."""
+    """First samples of the pieces in which a record is examined, and their length; they overlap by a segment."""
     length = min(AT_ONCE, samples)
-    begins = [*range(0, samples - length + 1, length)]
+    begins = [*range(0, samples - length + 1, max(length - LOOK.segment, 1) if samples > length else 1)]
     if begins[-1] + length < samples:
         begins.append(samples - length)
     return begins, length

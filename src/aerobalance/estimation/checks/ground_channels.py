@@ -343,6 +343,8 @@ class Far(NamedTuple):
         pace
             Frequency of its motion [Hz times the interval].
         """
+        if not motion.any():
+            return None
         gains = _gains_of_delays(white, motion, white.shown + motion, samples=samples)
         most = gains.size // 2
         best, gained = int(np.argmax(gains)) - most, float(np.max(gains) - gains[most])

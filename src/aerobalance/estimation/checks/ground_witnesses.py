@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import chdtrc, chdtri, ndtr, ndtri
@@ -58,8 +59,13 @@ class GroundChannelSettings:
         the motion in the force it is far less than without.
     bands, stands_out
         Bands of a channel's spectrum, and the level over that of its noise from which there is motion.
-    lines
-        Lines before and after one, itself among them, in which motion stands out if that one is motion.
+    clear
+        Level over that of the noise from which a line is motion: a hundredth of it is noise then, by which a gain is
+        told too small.
+    lines, parts, lines_of_part, sudden
+        Lines before and after one, itself among them, in which motion stands out if that one is motion; parts of a
+        record in which motion is looked for that is not all along it, the lines there, and its level over the median
+        of all parts.
     passed
         Frequency over the highest that stands out up to which a channel is taken as it is, and from which not at all.
     probe
@@ -109,7 +115,11 @@ class GroundChannelSettings:
     worth_a_look: float = 6.25
     bands: int = 100
     stands_out: float = 30.0
+    clear: float = 100.0
     lines: int = 9
+    parts: int = 16
+    lines_of_part: int = 4
+    sudden: float = 100.0
     passed: tuple[float, float] = (2.0, 4.0)
     probe: float = 0.02
     most: float = 64.0
@@ -352,13 +362,11 @@ def above_noise(values: Array, *, noise: float) -> tuple[Array, Array]:
     if not _moves(values, noise=noise):
         return np.zeros(count), np.zeros(count)
     line = np.linspace(values[0], values[-1], count)
-    moving = np.flatnonzero(lines_of_motion(values, noise=noise))
-    if not moving.size:
-        return line, np.full(count, line[1] - line[0])
+    highest = max(np.flatnonzero(lines_of_motion(values, noise=noise)), default=0)
     # reflected at points, its rate goes on at the ends: what a bend there does, the load would have to show as well
     reflected = np.concatenate([values - line, (line - values)[::-1]])
     lines = rfft(reflected)
-    over = np.arange(lines.size) / (2 * count) / (max(float(moving[-1]), 1.0) / length_of(count))
+    over = np.arange(lines.size) / (2 * count) / (max(float(highest), 1.0) / length_of(count))
     whole, none = SETTINGS.passed
     lines *= 0.5 + 0.5 * np.cos(np.pi * np.clip((over - whole) / (none - whole), 0.0, 1.0))
     lines[0] = 0.0
@@ -376,7 +384,8 @@ def lines_of_motion(values: Array, *, noise: float) -> NDArray[np.bool_]:
     """Lines at which a channel stands out of its white noise, of a series as long as `length_of` says, shape (m,).
 
     The window lets nothing leak beyond the band of the motion, as the ends of the record do: the lines before one and
-    those after it stand out both.
+    those after it stand out both. A motion near the ends alone, or a short one, is looked for in parts of the record
+    beside it, whose windows spread the lines of a steady motion: there it has to stand out of the other parts as well.
 
     Parameters
     ----------
@@ -385,18 +394,33 @@ def lines_of_motion(values: Array, *, noise: float) -> NDArray[np.bool_]:
     noise
         Standard uncertainty of one of them.
     """
-    window = hann(values.size) ** 2
-    lines = rfft(values * window, length_of(values.size))
-    power = np.square(np.abs(lines)) / float(window @ window)
-    own = np.minimum(_mean_of_following(power), _mean_of_following(power[::-1])[::-1])
-    return np.asarray(own > SETTINGS.stands_out * noise**2)
+    least, count = SETTINGS.clear * noise**2, values.size
+    moves = _own_level(values[None], length_of(count), SETTINGS.lines)[0] > least
+    size = count // SETTINGS.parts
+    if size < 4 * SETTINGS.lines_of_part:
+        return np.asarray(moves)
+    parts = sliding_window_view(values, size)[np.linspace(0, count - size, 2 * SETTINGS.parts - 1).astype(int)]
+    level = _own_level(parts - parts.mean(axis=1, keepdims=True), size, SETTINGS.lines_of_part)
+    sudden = (level > np.maximum(least, SETTINGS.sudden * np.median(level, axis=0))).any(axis=0)
+    if not sudden.any():
+        return np.asarray(moves)
+    places = np.arange(moves.size) / length_of(count) * size
+    return np.asarray(moves | (np.interp(places, np.arange(sudden.size), sudden) > 0))
 
 
-def _mean_of_following(power: Array) -> Array:
-    """Mean of each line and those that follow it, as many as `lines` and fewer at the end, shape (m,)."""
-    total = np.concatenate([[0.0], np.cumsum(power)])
-    last = np.minimum(np.arange(power.size) + SETTINGS.lines, power.size)
-    return np.asarray((total[last] - total[:-1]) / (last - np.arange(power.size)))
+def _own_level(series: Array, length: int, lines: int) -> Array:
+    """Power of the lines about each line of windowed series (k, n), on the side where it is less, shape (k, m)."""
+    window = hann(series.shape[1]) ** 2
+    power = np.square(np.abs(rfft(series * window, length))) / float(window @ window)
+    return np.minimum(_mean_of_following(power, lines), _mean_of_following(power[:, ::-1], lines)[:, ::-1])
+
+
+def _mean_of_following(power: Array, lines: int) -> Array:
+    """Mean of each line and those that follow it, so many and fewer at the end, shape (k, m)."""
+    total = np.pad(np.cumsum(power, axis=1), ((0, 0), (1, 0)))
+    first = np.arange(power.shape[1])
+    last = np.minimum(first + lines, power.shape[1])
+    return np.asarray((total[:, last] - total[:, :-1]) / (last - first))
 
 
 def _levels(lines: NDArray[np.complex128]) -> tuple[NDArray[np.intp], Array]:
