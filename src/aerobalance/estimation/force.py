@@ -346,7 +346,8 @@ def _undivided(
         for name, part in parts.items()
     }
     parts = {name: replace(part, doubts=(*_of(name, told + seen), *own[name])) for name, part in parts.items()}
-    force = checked(Force(parts, known, settings, noises))
+    with nullcontext() if whole else one_after_the_other():  # the next part is read beside it
+        force = checked(Force(parts, known, settings, noises))
     for doubt in force.doubts:
         if doubt not in told:
             warn_quality(f"{given.name}: {doubt}")
