@@ -449,11 +449,12 @@ def test_a_motion_is_known_at_its_ends_and_where_it_is(rng):
     true, true_rate = whole[some] / size - np.mean(whole[some]) / size, rate[some] / size
     read = true + noise * rng.normal(size=count)
     step = 1 / length_of(count)
-    moving = np.flatnonzero(lines_of_motion(read - read.mean(), noise=noise)) * step
+    moves = lines_of_motion(read - read.mean(), noise=noise)
+    moving = np.flatnonzero(moves) * step
     # the window is four lines of the record wide either way, and neighbours are asked with a line
     wide = 4 / count + SETTINGS.lines * step
     assert highest - wide < moving[-1] < highest + wide
-    motion, change = above_noise(read - read.mean(), noise=noise)
+    motion, change = above_noise(read - read.mean(), moves, noise=noise)
     off, away = motion - motion.mean() - true + true.mean(), change - true_rate
     # its bends at the ends, where it is reflected, are rounded off over a period of what is passed: at most a tenth of
     # its size in 120 ends
@@ -468,12 +469,14 @@ def test_a_line_of_noise_is_no_motion():
     """The line through the first and the last reading was taken for one, and its gain was anything."""
     rng = np.random.default_rng(4)
     for _ in range(20):
-        motion, rate = above_noise(rng.normal(size=4000), noise=1.0)
+        values = rng.normal(size=4000)
+        motion, rate = above_noise(values, lines_of_motion(values, noise=1.0), noise=1.0)
         assert not motion.any()
         assert not rate.any()
     # a line from -1 to 1 has the power 8 n / pi^4 at its first line, more than 30 times that of the noise
     line = np.linspace(-1, 1, 4000)
-    motion, _ = above_noise(line + rng.normal(size=line.size), noise=1.0)
+    values = line + rng.normal(size=line.size)
+    motion, _ = above_noise(values, lines_of_motion(values, noise=1.0), noise=1.0)
     assert motion.any()
 
 

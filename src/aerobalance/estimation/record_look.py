@@ -69,7 +69,8 @@ SETTINGS: Final = LookSettings()
 """The settings in use."""
 
 FREEDOM: Final = 12.2
-"""Degrees of freedom of a band's density in a segment: fewer than its 32 numbers, as the window joins ordinates."""
+"""Degrees of freedom of a band's density in a segment: its 32 numbers over 2.63, the sum of the squared
+correlations of lines that the window joins."""
 
 
 class Levels(NamedTuple):

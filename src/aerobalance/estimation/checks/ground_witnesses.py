@@ -272,7 +272,8 @@ class Witnesses:
         # noise of the channel is no motion: taken along, it would make every gain and delay too small
         values = values - values.mean()
         noise = channel_noise(channel)
-        motion, rate = above_noise(values, noise=noise)
+        moves = lines_of_motion(values, noise=noise)
+        motion, rate = above_noise(values, moves, noise=noise)
         late = -SETTINGS.probe * rate
         slopes = [
             self.change(name, change) / size
@@ -282,7 +283,7 @@ class Witnesses:
             return None
         # what is left in the readings where the channel is so late or reads so much less
         felt = tuple(np.column_stack([one.felt(slope) for slope in slopes]) for one in self.all)
-        return ChannelShapes(name, tuple(slopes), felt, lines_of_motion(values, noise=noise))
+        return ChannelShapes(name, tuple(slopes), felt, moves)
 
     def with_drift(self, shapes: ChannelShapes) -> ChannelShapes:
         """Shapes of a channel with its rate growing along the record."""
@@ -340,7 +341,7 @@ def ramp_of(count: int) -> Array:
     return np.asarray(np.arange(count) / max(count - 1, 1) - 0.5)
 
 
-def above_noise(values: Array, *, noise: float) -> tuple[Array, Array]:
+def above_noise(values: Array, moves: NDArray[np.bool_], *, noise: float) -> tuple[Array, Array]:
     """Return a channel without its white noise far above the band of its motion, and its rate, in its unit.
 
     It is as it is up to twice the highest frequency that stands out of the noise. A motion that goes on beyond the
@@ -350,8 +351,10 @@ def above_noise(values: Array, *, noise: float) -> tuple[Array, Array]:
     ----------
     values
         Its readings less their mean, without gaps, shape (n,).
+    moves
+        Lines at which it stands out, by `lines_of_motion`.
     noise
-        Standard uncertainty of one of them.
+        Standard uncertainty of a reading.
 
     Returns
     -------
@@ -362,7 +365,7 @@ def above_noise(values: Array, *, noise: float) -> tuple[Array, Array]:
     if not _moves(values, noise=noise):
         return np.zeros(count), np.zeros(count)
     line = np.linspace(values[0], values[-1], count)
-    highest = max(np.flatnonzero(lines_of_motion(values, noise=noise)), default=0)
+    highest = max(np.flatnonzero(moves), default=0)
     # reflected at points, its rate goes on at the ends: what a bend there does, the load would have to show as well
     reflected = np.concatenate([values - line, (line - values)[::-1]])
     lines = rfft(reflected)
