@@ -155,6 +155,7 @@ class NoiseMatrix:
         interval: float,
         noise: Array,
         ground: Array,
+        steps: int = FREQUENCIES,
     ) -> NoiseMatrix:
         """Return the spectra from how the components are decoupled and what was learned of them.
 
@@ -168,8 +169,10 @@ class NoiseMatrix:
             Covariance of the noise of a reading, shape (n, n); its ratios are what matters.
         ground
             Covariance of the force that the noise of the ground's motion is taken for, shape (n, n) [N^2].
+        steps
+            Steps of frequency from zero to half the sampling rate.
         """
-        frequency: Array = np.linspace(0, 0.5 / interval, FREQUENCIES + 1)
+        frequency: Array = np.linspace(0, 0.5 / interval, steps + 1)
         rows = np.stack([one.noise_response(frequency) for one in decoupled], axis=1)
         answers = np.stack([one.dynamics.response(frequency) for one in decoupled], axis=1)
         size = np.array([one.noise for one in learned]) / np.sqrt(np.diag(noise))
@@ -185,13 +188,25 @@ class NoiseMatrix:
         noise = np.real(np.einsum("jjm->mj", self.whole))
         return np.asarray(np.maximum(self.gain * self.force, UNSEEN * noise))
 
+    def weights_of(self, place: int, others: Sequence[int]) -> NDArray[np.complex128]:
+        """Weights with which the others' readings tell the noise of one component best, shape (c, m) [1]."""
+        shown = self.whole[np.ix_(others, others)]
+        shown[np.arange(len(others)), np.arange(len(others))] += self.felt[:, others].T
+        return _weights(shown, self.whole[others, place])
+
+    def is_worthwhile(self, place: int, share: float) -> bool:
+        """Whether its error falls by this share of it, or by more, where all the others tell its noise."""
+        others = [other for other in range(len(self.models)) if other != place]
+        if not others:
+            return False
+        before = np.real(self.whole[place, place])
+        left = self._left(self.whole, place, self.weights_of(place, others), others)
+        return self.error_of(place, left) < (1 - share) ** 2 * self.error_of(place, before)
+
     def left_of(self, place: int, others: Sequence[int]) -> tuple[NDArray[np.complex128], Array, Array]:
         """Weights of the others (m, c), density of the noise that is left (m,), and the least it could be [N^2/Hz]."""
-        pick = np.ix_(others, others)
-        shown = self.whole[pick]
-        shown[np.arange(len(others)), np.arange(len(others))] += self.felt[:, others].T
-        weights = _weights(shown, self.whole[others, place])
-        least = _weights(self.own[pick], self.own[others, place])
+        weights = self.weights_of(place, others)
+        least = _weights(self.own[np.ix_(others, others)], self.own[others, place])
         left, least_left = self._left(self.whole, place, weights, others), self._left(self.own, place, least, others)
         return weights.T, left, least_left
 
@@ -253,8 +268,7 @@ def shared_noise(
     if not others:
         return None
     size = np.sqrt(np.real(np.einsum("jjm->mj", spectra.whole)))
-    weights, *_ = spectra.left_of(place, others)
-    changes = np.abs(weights) * size[:, others] / size[:, [place]]
+    changes = np.abs(spectra.weights_of(place, others).T) * size[:, others] / size[:, [place]]
     others = [other for other, change in zip(others, changes.max(axis=0), strict=True) if change > NOTICEABLE]
     if not others:
         return None

@@ -20,7 +20,14 @@ from aerobalance.estimation.checks.ground_alignment import alone
 from aerobalance.estimation.checks.ground_channels import NO_FINDINGS, GroundFindings, ground_findings
 from aerobalance.estimation.checks.ground_witnesses import Witness, Witnesses
 from aerobalance.estimation.component_force import Fitted, Method, by_smoother, estimated
-from aerobalance.estimation.correlated_noise import NoiseMatrix, SharedNoise, as_expected, shared_noise
+from aerobalance.estimation.correlated_noise import (
+    FREQUENCIES,
+    WORTHWHILE,
+    NoiseMatrix,
+    SharedNoise,
+    as_expected,
+    shared_noise,
+)
 from aerobalance.estimation.coupled_record import CoupledRecord
 from aerobalance.estimation.gap_levels import changed_in_gaps
 from aerobalance.estimation.independent_record import IndependentRecord, moves_along_axis
@@ -266,13 +273,20 @@ def predicted_noise(fits: Mapping[str, Fitted], record: ForceRecord, *, filled: 
         return {}
     if any(one.color is not None for one in learned):
         return {}
-    spectra = NoiseMatrix.of(
+    spectra_at = partial(
+        NoiseMatrix.of,
         record.decoupled,
         learned,
         interval=record.interval,
         noise=record.noise,
         ground=record.motion_covariance,
     )
+    # by frequencies as far apart as on the record's own clock; with fewer of the others no error is less
+    roughly = spectra_at(steps=FREQUENCIES // record.recording.decimated)
+    places = [place for place in range(len(learned)) if roughly.is_worthwhile(place, WORTHWHILE / 2)]
+    if not places:
+        return {}
+    spectra = spectra_at() if record.recording.decimated > 1 else roughly
     residuals = np.column_stack([fit.smoothed.residuals for fit in fits.values()])
     present = np.column_stack([np.isfinite(record.loads[:, one.partners]).all(axis=1) for one in record.decoupled])
 
@@ -285,5 +299,5 @@ def predicted_noise(fits: Mapping[str, Fitted], record: ForceRecord, *, filled: 
             readings=partial(record.reading, on_clock_of=place, filled=filled),
         )
 
-    found = side_by_side(taken_from, range(len(record.channels)))
-    return {channel.name: one for channel, one in zip(record.channels, found, strict=True) if one is not None}
+    found = side_by_side(taken_from, places)
+    return {record.channels[place].name: one for place, one in zip(places, found, strict=True) if one is not None}
