@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from aerobalance.app.monitor.engine import warm_up
+from aerobalance.balance._variance_kernels import FOUR, Quadratic, variances
 from aerobalance.balance.inversion import inverted
 from aerobalance.dynamics._kernels import add_mode, first_order
 from aerobalance.estimation.checks._covariance_kernels import likeliest_covariances
@@ -33,3 +34,6 @@ def compile_all() -> None:
     terms = np.array([0, 0, 2, 2]), np.array([0, 1, 0, 1]), np.array([0, 1, 0, 1])
     bent = np.array([[1.0, 0.0], [0.0, 1.0], [0.1, 0.0], [0.0, 0.1]])  # y = x + x^2 / 10
     inverted(terms, bent, np.eye(2), np.array([[0.1, 0.1], [50.0, 50.0]]))  # the second by Newton's method
+    form, zeros = np.zeros((1, 1, FOUR)), np.zeros((1, 1, 3))
+    plain = Quadratic(np.array([[0, 1, 1]]), form, np.ones(1), zeros, np.eye(1), np.eye(1))
+    variances(np.ones((1, 1)), np.zeros(1, dtype=np.int64), plain, np.eye(1), 0.1, np.empty((1, 1)))

@@ -31,6 +31,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 SOURCES: Final = (
     "balance/_term_kernels.py",
+    "balance/_variance_kernels.py",
     "dynamics/_kernels.py",
     "estimation/checks/_covariance_kernels.py",
     "estimation/checks/_level_kernels.py",
