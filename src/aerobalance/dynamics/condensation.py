@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.polynomial import polynomial
@@ -152,8 +153,18 @@ def partial_fractions(polynomials: Array, modes: Sequence[Mode]) -> tuple[Array,
         Polynomial over product = direct + sum of (share + rate_share s) / (1 + d s + a s^2), shapes (...), (..., m)
         and (..., m) [1, 1, s] times the unit of the polynomials.
     """
-    count = 2 * len(modes) + 1
-    unit = float(np.exp(-np.mean([np.log(mode.angular_frequency) for mode in modes])))  # of time
+    unit, columns = _columns(tuple(modes))
+    count = len(columns)
+    scaled: Array = np.zeros((*polynomials.shape[:-1], count))
+    scaled[..., : polynomials.shape[-1]] = polynomials * unit ** -np.arange(float(polynomials.shape[-1]))
+    found: Array = np.asarray(np.linalg.solve(columns, scaled.reshape(-1, count).T).T).reshape(scaled.shape)
+    return found[..., 0], found[..., 1::2], found[..., 2::2] * unit
+
+
+@lru_cache(maxsize=64)  # of the same modes many fractions are asked for
+def _columns(modes: tuple[Mode, ...]) -> tuple[float, Array]:
+    """A unit of time for which powers of s are alike [s], and polynomials of all fractions' parts, (2 m + 1,) each."""
+    unit = float(np.exp(-np.mean([np.log(mode.angular_frequency) for mode in modes]))) if modes else 1.0
     factors = [np.array([1.0, 2 * mode.damping_ratio, 1.0]) for mode in modes]
     for factor, mode in zip(factors, modes, strict=True):
         factor[1:] *= (unit * mode.angular_frequency) ** -np.arange(1.0, 3.0)
@@ -161,10 +172,7 @@ def partial_fractions(polynomials: Array, modes: Sequence[Mode]) -> tuple[Array,
     for place in range(len(modes)):
         rest = _product(factors, without=place)
         columns += [np.append(rest, [0.0, 0.0]), np.concatenate([[0.0], rest, [0.0]])]
-    scaled = np.zeros((*polynomials.shape[:-1], count))
-    scaled[..., : polynomials.shape[-1]] = polynomials * unit ** -np.arange(float(polynomials.shape[-1]))
-    found = np.linalg.solve(np.column_stack(columns), scaled.reshape(-1, count).T).T.reshape(scaled.shape)
-    return found[..., 0], found[..., 1::2], found[..., 2::2] * unit
+    return unit, np.column_stack(columns)
 
 
 def _product(factors: Sequence[Array], *, without: int | None) -> Array:

@@ -95,7 +95,8 @@ class RigidMass:
 
         Times the acceleration of the balance's centre, its moments turns, it is the load that the acceleration takes.
         """
-        across = np.cross(np.eye(3), self.centre)  # rows e x r, so that across.T @ turn = turn x r
+        x, y, z = self.centre
+        across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])  # rows e x r, so that across.T @ turn = turn x r
         whole = np.zeros((6, 6))
         whole[:3, :3] = self.mass * np.eye(3)
         whole[:3, 3:] = self.mass * across.T

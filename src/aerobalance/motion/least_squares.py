@@ -220,7 +220,8 @@ class GroundFit:
 
     def _lines(self, maps: list[Array], *, variance: Array, differentiated: NDArray[np.bool_]) -> Array:
         """The same of a white noise as strong as it is at each of some frequencies up to half the rate, (l, p, p)."""
-        frequency = np.linspace(0, self.rate / 2, SETTINGS.dense)
+        alike = len(self.bands) == 1 and np.isinf(self.bands[0].high) and not differentiated.any()  # all of them
+        frequency = np.linspace(0, self.rate / 2, 1 if alike else SETTINGS.dense)
         grown = np.where(differentiated[:, None], (2 * np.pi * frequency) ** 2, 1.0) * variance[:, None]
         # neighbouring bands overlap, so that the noise of a source in them is correlated
         shares = [one[:, :, None] * band.share(frequency) for band, one in zip(self.bands, maps, strict=True)]

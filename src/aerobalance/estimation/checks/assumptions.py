@@ -14,6 +14,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import rfft
 
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.colored_noise import noise_assumed
@@ -295,15 +296,10 @@ def _of_time(record: DecoupledRecord, fit: SmootherResult, *, least: float) -> I
         return
     count, interval, place = fit.force.size, record.interval, record.decoupled.place
     late = SETTINGS.apart * np.arange(len(record.channels))
-    first, size = stretches_in(count)
-    taper = hann(size)
-    stretches = record.loads[first[:, None] + np.arange(size)]
-    lines = np.fft.rfft((stretches - stretches.mean(axis=1, keepdims=True)) * taper[:, None], axis=1)
-    frequency = np.asarray(np.fft.rfftfreq(size, interval), dtype=np.float64)
-    slopes = lines * (2j * np.pi * frequency[:, None] * late)
-    felt = np.einsum("kmj,mj->km", slopes, record.coupled.inverse_response(frequency)[:, place])
-    power = 2 * float(np.sum(np.abs(passed_by(fit, frequency) * felt) ** 2))
-    power /= first.size * size * float(np.sum(taper**2))
+    shown = Stretches.of(record.loads)
+    frequency = shown.frequency(interval)
+    lacking = 2j * np.pi * frequency[:, None] * late * record.coupled.inverse_response(frequency)[:, place]
+    power = shown.power_of(np.einsum("kjm,mj->km", shown.lines, passed_by(fit, frequency)[:, None] * lacking))
     at_steps = np.sum([step.height**2 for step in fit.steps]) * float(late[place]) / (count * interval)
     effect = float(np.sqrt(power + at_steps))
     if effect > least:
@@ -315,10 +311,50 @@ def _of_time(record: DecoupledRecord, fit: SmootherResult, *, least: float) -> I
         yield _told("time of reading", name, text, effect, si_unit(name))
 
 
-def stretches_in(count: int) -> tuple[NDArray[np.intp], int]:
-    """Return the first samples of stretches of a record of so many samples, spread evenly, and samples of each."""
-    size = min(SETTINGS.stretch, count)
-    return np.unique(np.linspace(0, count - size, SETTINGS.stretches).astype(np.intp)), size
+@dataclass(frozen=True, slots=True, eq=False)
+class Stretches:
+    """Some stretches of a record, spread evenly, under a Hann window.
+
+    Attributes
+    ----------
+    means
+        Mean of each of the k stretches, of which series of c in them, shape (k, c) or (k,).
+    lines
+        Lines of the rest, shape (k, c, m) or (k, m).
+    size
+        Samples of each.
+    """
+
+    means: Array
+    lines: NDArray[np.complex128]
+    size: int
+
+    @classmethod
+    def of(cls, series: Array) -> Stretches:
+        """Take the stretches of series, shape (n, c), or of one, shape (n,)."""
+        size = cls.size_in(len(series))
+        first = np.unique(np.linspace(0, len(series) - size, SETTINGS.stretches).astype(np.intp))
+        stretches = np.empty((first.size, *series.shape[1:], size))
+        for begin, stretch in zip(first, stretches, strict=True):  # along rows, as they are worked on
+            stretch[:] = series[begin : begin + size].T
+        means = stretches.mean(axis=-1)
+        stretches -= means[..., None]
+        stretches *= hann(size)
+        return cls(means, np.asarray(rfft(stretches), dtype=np.complex128), size)
+
+    @staticmethod
+    def size_in(count: int) -> int:
+        """Samples of a stretch of a record of so many samples."""
+        return min(SETTINGS.stretch, count)
+
+    def frequency(self, interval: float) -> Array:
+        """Frequencies of the lines [Hz], shape (m,)."""
+        return np.asarray(np.fft.rfftfreq(self.size, interval), dtype=np.float64)
+
+    def power_of(self, lines: NDArray[np.complex128]) -> float:
+        """Mean square of a series of which the stretches have these lines, shape (k, m), beside their means."""
+        flat = np.ascontiguousarray(lines).view(np.float64).ravel()
+        return 2 * float(flat @ flat) / (len(lines) * self.size * float(np.sum(hann(self.size) ** 2)))
 
 
 def passed_by(fit: SmootherResult, frequency: Array) -> Array:

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import chdtrc, chdtri, ndtr, ndtri
 
-from aerobalance.estimation.checks.assumptions import passed_by, stretches_in
+from aerobalance.estimation.checks.assumptions import Stretches, passed_by
 from aerobalance.estimation.force_smoother import SmootherResult, instant_columns
 from aerobalance.estimation.prior import fit_prior
 from aerobalance.estimation.record import ComponentRecord
@@ -175,18 +175,14 @@ class Witness:
     @cached_property
     def passed(self) -> NDArray[np.complex128]:
         """What the smoother makes of a balance load at the frequencies of a stretch, shape (m,) [1]."""
-        _, size = stretches_in(self.fit.force.size)
+        size = Stretches.size_in(self.fit.force.size)
         frequency = np.asarray(np.fft.rfftfreq(size, self.fit.reading.interval), dtype=np.float64)
         return np.asarray(passed_by(self.fit, frequency) / self.fit.reading.dynamics.response(frequency))
 
     def force_under(self, felt: Array) -> float:
         """Rms of what a balance load, shape (n,), makes of the force, by stretches of it [N]."""
-        first, size = stretches_in(felt.size)
-        taper, stretches = hann(size), felt[first[:, None] + np.arange(size)]
-        slow = stretches.mean(axis=1)
-        lines = rfft((stretches - slow[:, None]) * taper) * self.passed
-        power = 2 * float(np.sum(np.abs(lines) ** 2)) / (first.size * size * float(np.sum(taper**2)))
-        return float(np.sqrt(power + np.var(slow)))
+        shown = Stretches.of(felt)
+        return float(np.sqrt(shown.power_of(shown.lines * self.passed) + np.var(shown.means)))
 
     def without(self, load: Array) -> KalmanFilter:
         """The filter of the prior that is learned anew, a balance load in the readings left out, shape (n,)."""
