@@ -43,8 +43,20 @@ def give_back_compiler() -> None:
         return
     with suppress(OSError, AttributeError, TypeError, ValueError):
         library = ctypes.CDLL(None)
+        for begin, end in _places_of_compiler():
+            library.madvise(ctypes.c_void_p(begin), ctypes.c_size_t(end - begin), NOT_NEEDED)
+
+
+_PLACES: Final[list[tuple[int, int]]] = []
+"""Where its code is, once that was found: it stays there."""
+
+
+def _places_of_compiler() -> list[tuple[int, int]]:
+    """First addresses of its code, and those after it."""
+    if not _PLACES:
         for line in Path("/proc/self/maps").read_text(encoding="utf-8", errors="replace").splitlines():
             ends, may, *_, file = line.split(maxsplit=5)
             if may == "r-xp" and Path(file).name.startswith(COMPILER):
                 begin, end = (int(one, 16) for one in ends.split("-"))
-                library.madvise(ctypes.c_void_p(begin), ctypes.c_size_t(end - begin), NOT_NEEDED)
+                _PLACES.append((begin, end))
+    return _PLACES

@@ -40,8 +40,8 @@ class LoadSettings:
     by_others
         What the other loads move a bridge by over its scatter, from which on it is dead: a load of its own that takes
         just that off to the noise is none.
-    fewest
-        Readings from which on bridges are asked.
+    fewest, spread
+        Readings from which on bridges are asked, and by how many at least, spread evenly, of what moves them.
     no_bridge
         Output over that at the largest load calibrated, which none reaches in half of the readings: uV/V are a
         thousand times mV/V, and the zero of a bridge is within its range.
@@ -58,6 +58,7 @@ class LoadSettings:
     only_noise: float = 1.2
     by_others: float = 3.0
     fewest: int = 256
+    spread: int = 1 << 13
     no_bridge: float = 50.0
     no_load: float = 1e-3
     shows_more: float = 10.0
@@ -417,6 +418,8 @@ def doubts_of_bridges(
         return
     if not known.all():
         outputs, native = outputs[known], native[known]
+    whole, every = outputs, max(len(outputs) // SETTINGS.spread, 1)
+    outputs, native = outputs[::every], native[::every]
     scatter = np.sqrt(np.diag(table_covariance(outputs)) * (1 - 1 / len(outputs)))
     moves = np.linalg.inv(sensitivity)
     np.fill_diagonal(moves, 0.0)
@@ -424,7 +427,7 @@ def doubts_of_bridges(
     least = np.maximum(SETTINGS.by_others * scatter, ROUNDING * balance.output_scale)
     for place in np.flatnonzero(by_others > least):
         still = scatter[place] < ROUNDING * balance.output_scale[place]
-        if not still and scatter[place] > SETTINGS.only_noise * white_noise(outputs[:, place]):
+        if not still and scatter[place] > SETTINGS.only_noise * white_noise(whole[:, place]):
             continue
         same = "reads the same all along" if still else "shows nothing but noise"
         text = (

@@ -41,7 +41,7 @@ from aerobalance.recording.noise import channel_noise, noise_correlation
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import interpolate_gaps_linearly
 
-SPREAD: Final = 1 << 16
+SPREAD: Final = 1 << 12
 """Samples, spread over a record, from which its median load is found."""
 
 

@@ -51,13 +51,16 @@ class Systematic:
     covariance: Array
     root: Array = field(default_factory=lambda: np.zeros((0, 0)))
     local: bool = False
+    _deviation: list[Array] = field(init=False, default_factory=list, repr=False)
 
     @property
     def deviation(self) -> Array:
         """Standard uncertainty of every sample, shape (n,) [N]."""
-        own = self.slopes.T
-        turned = own if np.array_equal(self.covariance, np.eye(len(own))) else self.covariance @ own
-        return np.asarray(np.sqrt(np.maximum(np.einsum("pn,pn->n", turned, own), 0.0)))
+        if not self._deviation:  # it is asked for by all that looks at the errors of a force
+            own = self.slopes.T
+            turned = own if np.array_equal(self.covariance, np.eye(len(own))) else self.covariance @ own
+            self._deviation.append(np.sqrt(np.maximum(np.einsum("pn,pn->n", turned, own), 0.0)))
+        return self._deviation[0]
 
     @property
     def halved(self) -> float:
@@ -86,7 +89,9 @@ class Systematic:
 
     def within(self, samples: slice) -> Systematic:
         """The same for some of the samples."""
-        return replace(self, slopes=self.slopes[samples])
+        some = replace(self, slopes=self.slopes[samples])
+        some._deviation.extend(known[samples] for known in self._deviation)
+        return some
 
     def covariance_of(self, weights: Array) -> Array:
         """Covariance of weighted sums of the samples, shape (k, k) [N^2]; weights of shape (k, n) [1]."""

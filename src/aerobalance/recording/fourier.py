@@ -75,7 +75,7 @@ def averaged_spectrum(
 ) -> tuple[Array, NDArray[np.complex128]]:
     """Frequencies [Hz] and one-sided spectral density of a series [its unit squared over Hz], by [Welch1967]_.
 
-    Segments under a Hann window, which overlap by half.
+    Segments under a Hann window, which overlap by half. Series in single precision are transformed in it.
 
     Parameters
     ----------
@@ -100,14 +100,16 @@ def averaged_spectrum(
     def spectra(series: Array) -> NDArray[np.complex128]:
         segments = sliding_window_view(series, length)[:: length - length // 2]
         level = segments - segments.mean(axis=1, keepdims=True) if less == "mean" else without_line(segments)
-        return np.asarray(rfft(level * window), dtype=np.complex128)
+        return np.asarray(rfft(level * window.astype(level.dtype, copy=False)))
 
     own = spectra(values)
     several = not (other is None or (isinstance(other, np.ndarray) and other.ndim == 1))
     others = other if several and other is not None else [values if other is None else other]
     turned, density = own.conj(), np.empty((len(others), own.shape[1]), dtype=np.complex128)
+    singly = turned.astype(np.complex64) if any(np.asarray(one).dtype == np.float32 for one in others) else turned
     for place, one in enumerate(others):  # one after the other, as each has many segments
-        density[place] = np.einsum("sf,sf->f", turned, own if one is values else spectra(np.asarray(one)))
+        theirs = own if one is values else spectra(np.asarray(one))
+        density[place] = np.einsum("sf,sf->f", singly if theirs.dtype == np.complex64 else turned, theirs)
     density /= rate * np.sum(window**2) * len(own)
     density[:, 1 : -1 if length % 2 == 0 else None] *= 2
     frequency = np.asarray(np.arange(density.shape[1]) * (rate / length), dtype=np.float64)

@@ -21,6 +21,12 @@ QUIET_SHARE: Final = 0.25
 CLEARLY_LOWER: Final = 0.7
 """Ratio of the two estimates of the noise below which it is no chance of sampling."""
 
+SOME: Final = 1 << 12
+"""Third differences by which is asked first whether they are: their median scatters by two per cent."""
+
+NOT_LOWER: Final = 0.8
+"""Ratio of these from which on they are not."""
+
 ROUNDING: Final = 1e-9
 """Least noise over the largest reading: what is smaller than that is rounding."""
 
@@ -72,8 +78,17 @@ def white_noise(values: Array) -> float:
     level = levels[int(QUIET_SHARE * (levels.size - 1))]
     spectral = float(np.sqrt(level / 2))
     # the third difference of white noise has twenty times its variance
-    calm = float(np.median(np.abs(np.diff(present, 3)))) / (ndtri(0.75) * np.sqrt(20))
+    unit = ndtri(0.75) * np.sqrt(20)
+    if present.size > SOME and _median_third_difference(present, present.size // SOME) > NOT_LOWER * spectral * unit:
+        return spectral
+    calm = _median_third_difference(present, 1) / unit
     return calm if 0 < calm < CLEARLY_LOWER * spectral else spectral
+
+
+def _median_third_difference(values: Array, every: int) -> float:
+    """Median size of third differences of readings, of every so many of them."""
+    first, second, third, fourth = (values[place : values.size - 3 + place : every] for place in range(4))
+    return float(np.median(np.abs(fourth - first - 3 * (third - second))))
 
 
 def step_of(values: Array) -> float:
@@ -148,6 +163,9 @@ def _without_wild(changes: Array) -> Array:
     One wild reading of a bridge is in all loads: some of them would make the noise of the loads look like one noise.
     """
     size = np.abs(changes)
+    largest = size.max(axis=1, keepdims=True, initial=0.0)
+    if (2 * np.count_nonzero(STANDS_OUT * size >= largest, axis=1) > size.shape[1]).all():
+        return changes  # so many exceed a part of the largest that the median does: it need not be found
     out = (size > STANDS_OUT * np.median(size, axis=1, keepdims=True)).any(axis=0)
     if not out.any():
         return changes

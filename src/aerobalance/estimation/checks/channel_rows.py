@@ -37,10 +37,14 @@ class Rows:
 
     def at(self, frequency: Array) -> NDArray[np.complex128]:
         """Their values at frequencies of shape (m,) [Hz], shape (m, n, n)."""
-        w, powers = 2 * np.pi * frequency[:, None, None], np.moveaxis(self.forces, -1, 0)
+        w = 2 * np.pi * frequency[:, None]
         # even powers of s are real, odd ones imaginary: real products alone
+        powers = np.vander(-(w[:, 0] ** 2), (self.forces.shape[-1] + 1) // 2, increasing=True)
+        odd = powers[:, : self.forces.shape[-1] // 2] * w
+        flat = self.forces.reshape(-1, self.forces.shape[-1])
         found = np.empty((frequency.size, *self.forces.shape[:2]), complex)
-        found.real, found.imag = _horner(powers[::2], -(w**2)), w * _horner(powers[1::2], -(w**2))
+        found.real = (powers @ flat[:, ::2].T).reshape(found.shape)
+        found.imag = (odd @ flat[:, 1::2].T).reshape(found.shape)
         return found
 
     def determinant(self, frequency: Array) -> Array:
@@ -117,13 +121,3 @@ def product_of_modes(one: DecoupledChannel, frequency: Array) -> NDArray[np.comp
         w = mode.angular_frequency
         whole = whole * (1 + 2 * mode.damping_ratio * s / w + (s / w) ** 2)
     return whole
-
-
-def _horner(coefficients: Array, at: Array) -> Array:
-    """Polynomials with rising powers along the first axis, at numbers of shape (m, 1, 1), shape (m, n, n)."""
-    found = np.zeros(np.broadcast_shapes(at.shape, coefficients.shape[1:]))
-    for place, one in enumerate(coefficients[::-1]):
-        if place:
-            found *= at
-        found += one
-    return found

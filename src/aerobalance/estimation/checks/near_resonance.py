@@ -34,7 +34,10 @@ class NearSettings:
     slopes
         Powers of frequency with which the density of the force falls.
     rounds
-        Rounds in which the level of the force is found.
+        Rounds in which the level of the force is found, at most.
+    settled
+        Relative change of all levels in a round from which on there are no more: the log-likelihood of an ordinate
+        errs by no more than its square.
     fewest
         Ordinates that are needed.
     blurred
@@ -52,6 +55,7 @@ class NearSettings:
     closer: tuple[float, ...] = (1.0, 1 / 6, 1 / 36)
     slopes: tuple[float, ...] = (0.0, 2.0, 4.0)
     rounds: int = 12
+    settled: float = 1e-4
     fewest: int = 20
     blurred: float = 0.7
     bins: int = 4
@@ -188,7 +192,10 @@ class _Shape:
         for _ in range(SETTINGS.rounds):
             expected = level * shape + self.noise
             lowers = np.sum(self.power * shape / expected**2, axis=-1, keepdims=True)
-            level = level * np.sqrt(lowers / np.sum(shape / expected, axis=-1, keepdims=True))
+            change = np.sqrt(lowers / np.sum(shape / expected, axis=-1, keepdims=True))
+            level = level * change
+            if np.max(np.abs(change - 1)) < SETTINGS.settled:  # at once where the noise is small
+                break
         expected = level * shape + self.noise
         return np.asarray(-np.sum(np.log(expected) + self.power / expected, axis=-1))
 

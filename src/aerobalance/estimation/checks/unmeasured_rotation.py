@@ -113,7 +113,7 @@ def turning_by_angles(
     recording
         The record.
     dynamics
-        The balance with its mass matrix; without one nothing can be said.
+        The balance with its mass matrix; without one, or without an angle, nothing can be said.
     estimates
         Estimated forces with their uncertainty, by component.
 
@@ -122,7 +122,7 @@ def turning_by_angles(
     doubts
         One for each angle whose rotation matters, of the component that it matters most for; empty where none does.
     """
-    if dynamics.mass is None:
+    if dynamics.mass is None or not {"pitch", "roll"} & set(recording.channels):
         return []
     recording = corrected(recording)
     with kept_warnings():  # they were given when the force was estimated
