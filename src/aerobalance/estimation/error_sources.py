@@ -135,6 +135,9 @@ class Noise:
 
     def covariance_of(self, weights: Array) -> Array:
         """Covariance of weighted sums of the samples, shape (k, k) [N^2]; weights of shape (k, n) [1]."""
+        if self.spectrum.size == 1:  # white
+            own = weights * self.deviation
+            return np.asarray(self.spectrum[0] * (own @ own.T))
         # twice the record, so that its end does not touch its beginning
         count = 2 * next_fast_len(weights.shape[1], real=True)
         lines = np.asarray(rfft(weights * self.deviation, count), dtype=np.complex128)

@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from aerobalance.dynamics.modal import Mode
+from aerobalance.dynamics.modal import Mode, exponentials
 from aerobalance.estimation.least_squares import take_out
 from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.statespace.kalman import KalmanFilter
@@ -206,7 +206,7 @@ class StepWindow:
 def free_motions(mode: Mode, time: Array) -> tuple[Array, Array]:
     """Two motions whose linear combinations are all free motions of a mode, shape (n,) each [1; s]."""
     p, q = mode.poles
-    one = np.exp(p * time)
+    one = exponentials(p, time)
     if abs(p - q) * time[-1:].sum() < SAME_POLE:
         return one.real, (time * np.exp((p + q) / 2 * time)).real
     if q == p.conjugate():

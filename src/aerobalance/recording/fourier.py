@@ -31,7 +31,7 @@ HANN_ORDINATES: Final = 18 / 35
 """Ordinates whose power is independent, over those of a Hann window: neighbours correlate by 2/3, the next by 1/6,
 their powers by the squares of it, and 1 + 2 (4/9 + 1/36) = 35/18."""
 
-_KEPT: Final = 1 << 17
+_KEPT: Final = 1 << 16
 """Longest window that is kept for the next time."""
 
 
@@ -44,7 +44,7 @@ def _hann(count: int) -> Array:
     return np.asarray(np.hanning(count + 1)[:-1], dtype=np.float64)
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=16)
 def _kept_hann(count: int) -> Array:
     """The same, kept: all that is asked of a part of a record asks for windows of a few lengths."""
     window = _hann(count)

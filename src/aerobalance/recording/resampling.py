@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from aerobalance.recording.channel import Array, Channel
@@ -67,9 +68,11 @@ def _between(series: Array) -> Array:
     place = np.arange(-REACH * FINE, REACH * FINE + 1)
     taps = np.sinc(place / FINE) * np.kaiser(place.size, SHARPNESS)
     taps *= FINE / taps.sum()
-    phases = np.append(taps, np.zeros(FINE - 1)).reshape(-1, FINE).T
-    between = [[np.convolve(column, phase, "valid") for phase in phases] for column in padded.T]
-    return np.asarray(between).transpose(2, 1, 0).reshape(FINE * count, *width)
+    phases = np.append(taps, np.zeros(FINE - 1)).reshape(-1, FINE)[::-1]
+    between = np.empty((FINE * count, padded.shape[1]))
+    for number, column in enumerate(np.ascontiguousarray(padded.T)):
+        between[:, number] = (sliding_window_view(column, len(phases)) @ phases).ravel()
+    return between.reshape(FINE * count, *width)
 
 
 def at_places(values: Array, places: Array) -> tuple[Array, Array]:

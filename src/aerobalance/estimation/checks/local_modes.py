@@ -339,7 +339,10 @@ def _peaks(seen: Averaged, dynamics: ModalModel) -> list[float]:
     edge = 12
     while edge < count:  # the median's width grows with frequency, octave by octave
         part = slice(edge, min(2 * edge, count))
-        surroundings[part] = median_filter(level, 2 * int(width[part].mean()) + 1, mode="nearest")[part]
+        half = int(width[part].mean())
+        begin = max(edge - half, 0)
+        medians = median_filter(level[begin : part.stop + half], 2 * half + 1, mode="nearest")
+        surroundings[part] = medians[edge - begin : part.stop - begin]
         edge *= 2
     surroundings[:12] = level[:12]
     above = level - surroundings

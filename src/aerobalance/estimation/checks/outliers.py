@@ -207,9 +207,10 @@ def outliers_of(given: Recording | Loads, components: Sequence[str]) -> Outliers
             )
         unsure = limited | stuck
         wild = wild_samples(np.where(unsure, np.nan, channel.values) if unsure.any() else channel.values)
-        places = _Of(*(np.flatnonzero(one) for one in (wild, stuck, limited & (not rests))))
-        if any(one.size for one in places):  # as in few records
-            channels[name] = places
+        if unsure.any() or wild.any():  # as in few records
+            places = _Of(*(np.flatnonzero(one) for one in (wild, stuck, limited & (not rests))))
+            if any(one.size for one in places):
+                channels[name] = places
     return Outliers(recording.samples, channels, bridges, isinstance(given, Loads))
 
 

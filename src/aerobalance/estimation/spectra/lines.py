@@ -100,8 +100,10 @@ def columns_of_lines(
         What the balance makes of a force at frequencies [Hz]: where these drift, the reading of a steady force changes
         with it. None where the reading itself is steady.
     """
-    turned, rate = turned_time(drift, count=count, interval=interval)
     columns = [np.zeros((count, 0))]
+    if not len(frequencies):  # as of most records
+        return columns[0]
+    turned, rate = turned_time(drift, count=count, interval=interval)
     for frequency in frequencies:
         angle = 2 * np.pi * frequency * turned
         sine, cosine = np.sin(angle), np.cos(angle)
