@@ -185,8 +185,9 @@ class CoupledRecord(BalanceRecord):
             self._readings.clear()
             self._readings["filled"] = filled
         key = (place, self.channels[on_clock_of].delay)
-        if not changed and key in self._readings:
-            return self._readings[key]
+        known = None if changed else self._readings.get(key)
+        if known is not None:
+            return known
         found = BalanceRecord.reading(self, place, on_clock_of=on_clock_of, filled=filled, model=model)
         if not changed:
             self._readings[key] = found

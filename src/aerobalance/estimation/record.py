@@ -26,6 +26,7 @@ from aerobalance.recording.noise import noise_covariance
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import align_channels, fractional_delay, interpolate_gaps
 from aerobalance.recording.sensors import late_samples
+from aerobalance.recording.side_by_side import side_by_side
 
 FEWEST_SAMPLES: Final = 32
 """Fewest readings of a component that a force is worked out for."""
@@ -420,6 +421,6 @@ class BalanceRecord(ABC):
             Spectra of the noise of the components' readings, where they are known.
         """
         spectra = {} if noises is None else noises
-        return {
-            name: self.component_record(name, filled, noise=spectra.get(name)) for name in self.dynamics.components
-        }
+        names = self.dynamics.components
+        made = side_by_side(lambda name: self.component_record(name, filled, noise=spectra.get(name)), names)
+        return dict(zip(names, made, strict=True))

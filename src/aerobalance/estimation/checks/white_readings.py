@@ -25,6 +25,7 @@ from aerobalance.estimation.checks.ground_witnesses import (
 from aerobalance.estimation.least_squares import DEPENDENT, whitened
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.recording.channel import Array
+from aerobalance.recording.side_by_side import side_by_side
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,12 +116,16 @@ class White:
     @classmethod
     def of(cls, asked: Witnesses, filters: Sequence[KalmanFilter], *, without: Sequence[ChannelShapes] = ()) -> White:
         """Take the readings; the shapes of some channels count for nothing in what they have in common."""
-        bases, shown = [], []
         unseen = tuple(asked.unseen(one) for one in asked.components)
-        for one, filter_, ends in zip(asked.all, filters, unseen, strict=True):
-            series = _inside(whitened(filter_, one.fit.reading.filled, one.known), ends)
-            bases.append(_orthonormal(series[:, 1:]))
-            shown.append(_less(series[:, 0], bases[-1]))
+
+        def made_white(place: int) -> tuple[Array, Array]:
+            """What is taken out of the reading of one component, and what is left of it."""
+            one = asked.all[place]
+            series = _inside(whitened(filters[place], one.fit.reading.filled, one.known), unseen[place])
+            basis = _orthonormal(series[:, 1:])
+            return basis, _less(series[:, 0], basis)
+
+        bases, shown = zip(*side_by_side(made_white, range(len(unseen))), strict=True)
         lines = lines_of(np.column_stack(shown))
         weights = np.eye(len(shown), dtype=np.complex128)[None]
         plain = cls(tuple(filters), tuple(bases), unseen, lines, weights, (0, len(lines)))
