@@ -40,7 +40,7 @@ from aerobalance.recording.components import COMPONENTS, si_unit
 from aerobalance.recording.doubts import Doubt, verdict_of
 from aerobalance.recording.errors import warn_quality
 from aerobalance.recording.recording import Recording
-from aerobalance.recording.side_by_side import side_by_side
+from aerobalance.recording.side_by_side import handing_over_soon, side_by_side
 from aerobalance.uncertainty.monte_carlo import MonteCarlo, monte_carlo
 
 DEFAULT_SEED: Final = 1
@@ -99,7 +99,7 @@ def force(
             noise=None if noise_record is None else source.read(noise_record),
             settings=settings,
         )
-        with writing(out, samples=record.samples, epoch=record.epoch) as append:
+        with writing(out, samples=record.samples, epoch=record.epoch) as append, handing_over_soon():
             found = _worked_out(work, out, append, pictured=report is not None)
             checked = _checked(work, found, check)
         doubts += [doubt for one in found.summaries.values() for doubt in one.doubts]
