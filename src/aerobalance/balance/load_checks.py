@@ -269,7 +269,7 @@ def doubts_of_size(readings: Array, balance: BalanceMatrix, components: Sequence
     known = readings if whole.all() else readings[whole]
     if len(known) < SETTINGS.fewest:
         return
-    share = share_of_largest(np.diag(known.T @ known) / len(known), balance)
+    share = share_of_largest(np.einsum("nc,nc->c", known, known) / len(known), balance)
     # noise and zeros of bridges that were set to nothing are as small
     if not is_next_to_nothing(share):
         return

@@ -22,7 +22,7 @@ from aerobalance.estimation.record import ComponentRecord, Through
 from aerobalance.motion.platform import PlatformMotion, SystematicParameter
 from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import COMPONENTS, IS_FORCE
-from aerobalance.recording.linalg import covariance_root
+from aerobalance.recording.linalg import covariance_root, sums_of_products
 from aerobalance.recording.resampling import FINE, fractional_delay, upsample_compensated
 
 FAINT: Final = 1e-3
@@ -261,7 +261,7 @@ def _directions(series: Sequence[Array], numbers: Array, *, least: float) -> Arr
     least
         Rms that is nothing, beside `UNSEEN` of that of all together.
     """
-    products = np.block([[one.T @ other for other in series] for one in series])
+    products = np.block([[sums_of_products(one, other) for other in series] for one in series])
     level, vectors = np.linalg.eigh(products / len(series[0]))
     root = vectors * np.sqrt(np.maximum(level, 0.0))
     _, size, turned = np.linalg.svd(root.T @ numbers, full_matrices=False)

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.fft import next_fast_len, rfft
 
 from aerobalance.recording.channel import Array
-from aerobalance.recording.linalg import covariance_root
+from aerobalance.recording.linalg import covariance_root, sums_of_products
 
 UNSEEN: Final = 1e-3
 """Rms of what a quantity does to the force, over that of all quantities of a contribution, below which it is left out
@@ -79,7 +79,7 @@ class Systematic:
         if not root.size or not self.slopes.size:
             none = np.zeros((self.slopes.shape[0], 0))
             return replace(self, quantities=(), slopes=none, covariance=np.zeros((0, 0)), root=root[:0])
-        power, turned = np.linalg.eigh(root.T @ (self.slopes.T @ self.slopes) @ root)
+        power, turned = np.linalg.eigh(root.T @ sums_of_products(self.slopes, self.slopes) @ root)
         kept = turned[:, power > UNSEEN**2 * power.sum()]
         names = tuple(f"combination {number}" for number in range(1, kept.shape[1] + 1))
         covariance = np.eye(kept.shape[1])
@@ -95,12 +95,12 @@ class Systematic:
 
     def covariance_of(self, weights: Array) -> Array:
         """Covariance of weighted sums of the samples, shape (k, k) [N^2]; weights of shape (k, n) [1]."""
-        gradient = weights @ self.slopes
+        gradient = sums_of_products(weights.T, self.slopes)
         return np.asarray(gradient @ self.covariance @ gradient.T)
 
     def variance_of(self, weights: Array) -> float:
         """Variance of a weighted sum of the samples [N^2]; weights of shape (n,) [1]."""
-        gradient = weights @ self.slopes
+        gradient = sums_of_products(weights.T, self.slopes)
         return max(float(gradient @ self.covariance @ gradient), 0.0)
 
 
@@ -137,7 +137,7 @@ class Noise:
         """Covariance of weighted sums of the samples, shape (k, k) [N^2]; weights of shape (k, n) [1]."""
         if self.spectrum.size == 1:  # white
             own = weights * self.deviation
-            return np.asarray(self.spectrum[0] * (own @ own.T))
+            return np.asarray(self.spectrum[0] * sums_of_products(own.T, own.T))
         # twice the record, so that its end does not touch its beginning
         count = 2 * next_fast_len(weights.shape[1], real=True)
         lines = np.asarray(rfft(weights * self.deviation, count), dtype=np.complex128)
@@ -228,7 +228,7 @@ class Divided:
             if isinstance(piece, Noise) or piece.local:
                 whole += piece.covariance_of(part)
             else:  # the same numbers are wrong in all parts
-                common = added(common, part @ piece.slopes @ piece.numbers)
+                common = added(common, sums_of_products(part.T, piece.slopes) @ piece.numbers)
         return np.asarray(whole + common @ common.T)
 
 

@@ -10,6 +10,7 @@ from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.statespace.kalman import AT_ONCE, KalmanFilter
 from aerobalance.recording.channel import Array
 from aerobalance.recording.errors import FitError
+from aerobalance.recording.linalg import sums_of_products
 
 DEPENDENT: Final = 1e-7
 """Singular value of scaled shapes over the largest below which they depend on each other."""
@@ -46,7 +47,7 @@ def take_out(basis: Array, series: Array) -> None:
     some = max(AT_ONCE // max(series.shape[0], 1), 1)
     for first in range(0, series.shape[1], some):
         part = series[:, first : first + some]
-        part -= basis @ (basis.T @ part)
+        part -= basis @ sums_of_products(basis, part)
 
 
 def least_squares(values: Array, shapes: Array) -> tuple[Array, Array, float]:
@@ -55,10 +56,10 @@ def least_squares(values: Array, shapes: Array) -> tuple[Array, Array, float]:
     Normal equations, solved again for what they leave: that is as exact as a decomposition of the shapes themselves,
     and takes a tenth of its time. Of shapes that depend on each other only what they tell together has a size.
     """
-    spread = root_of_covariance(shapes.T @ shapes)
+    spread = root_of_covariance(sums_of_products(shapes, shapes))
     sizes, left = np.zeros(shapes.shape[1]), values
     for _ in range(2):
-        sizes = sizes + spread @ (spread.T @ (shapes.T @ left))
+        sizes = sizes + spread @ (spread.T @ sums_of_products(shapes, left))
         left = values - shapes @ sizes
     return sizes, spread @ spread.T, float(left @ left)
 

@@ -22,6 +22,7 @@ from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.steps import Step, ringing_time
 from aerobalance.recording.channel import Array
 from aerobalance.recording.fourier import convolve
+from aerobalance.recording.linalg import sums_of_products
 
 APART: Final = 2.0
 """Periods of the natural frequency by which steps that are taken up together are apart at least."""
@@ -82,7 +83,7 @@ class Scan:
         basis, triangle = np.linalg.qr(series[:, 1:])
         scale = np.maximum(np.linalg.norm(triangle, axis=0), 1e-300)
         inverse = np.linalg.pinv(triangle / scale, rcond=ALIKE) / scale[:, None]
-        told = basis.T @ series[:, 0]
+        told = sums_of_products(basis, series[:, 0])
         left = series[:, 0] - basis @ told
         response = _Response.of(reading, filter_.settled)
         products = response.against(np.column_stack([left, basis]))

@@ -21,6 +21,7 @@ from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.steps import Step, response_to
 from aerobalance.recording.channel import Array
+from aerobalance.recording.linalg import sums_of_products
 
 MARGIN: Final = 28
 """Samples after the last instant expected in which the force may still change: the longest ramp tried and more."""
@@ -135,7 +136,7 @@ class StepWindow:
         """Return the window of a reading, with free coefficients of the known shapes in `columns`, shape (n, q)."""
         white = filter_.whiten(np.column_stack([reading.filled, columns]))
         basis, _ = np.linalg.qr(white[:, 1:])
-        return cls(reading, filter_, basis, white[:, 0] - basis @ (basis.T @ white[:, 0]), before)
+        return cls(reading, filter_, basis, white[:, 0] - basis @ sums_of_products(basis, white[:, 0]), before)
 
     def squares(self, instant: float, duration: float) -> float:
         """Return the sum of squared whitened residuals with a step of the best height [1].
@@ -200,7 +201,7 @@ class StepWindow:
         white = self._left_of(columns)
         self._fit = np.linalg.pinv(shapes[points])
         self._time = interval * np.concatenate([np.arange(first, edge), edge + points])
-        self._gram, self._told = white.T @ white, white.T @ self.left
+        self._gram, self._told = sums_of_products(white, white), sums_of_products(white, self.left)
 
 
 def free_motions(mode: Mode, time: Array) -> tuple[Array, Array]:

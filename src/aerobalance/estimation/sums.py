@@ -17,6 +17,7 @@ from aerobalance.estimation.error_sources import Noise, Systematic, added
 from aerobalance.estimation.sampled_force import End, SampledForce
 from aerobalance.recording.channel import Array
 from aerobalance.recording.fourier import averaged_spectrum
+from aerobalance.recording.linalg import sums_of_products
 
 Key = tuple[str, str]
 """Name and source of a contribution."""
@@ -163,7 +164,7 @@ class ForceSums:
         if isinstance(one, Noise) or one.local:
             row.forms += one.covariance_of(weights)
         elif one.slopes.size:
-            row.common = added(row.common, weights @ one.slopes @ one.numbers)
+            row.common = added(row.common, sums_of_products(weights.T, one.slopes) @ one.numbers)
 
 
 @dataclass(slots=True, eq=False)

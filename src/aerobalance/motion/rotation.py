@@ -16,6 +16,7 @@ from aerobalance.motion.least_squares import GroundFit, integral
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import DIRECTIONS, MOMENT_ROWS, MOMENTS
 from aerobalance.recording.fourier import convolve, hann
+from aerobalance.recording.linalg import sums_of_products
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,5 +206,5 @@ def centripetal(fit: GroundFit, rate: Array) -> Array:
 
 def _rms(values: Array) -> Array:
     """Rms of a series (n,), or of each column of a table (n, m): by a product, which does not go along short rows."""
-    squares = values.T @ values
+    squares = sums_of_products(values, values)
     return np.asarray(np.sqrt((np.diag(squares) if values.ndim > 1 else squares) / len(values)))

@@ -9,6 +9,7 @@ from typing import Final
 import numpy as np
 
 from aerobalance.dynamics.modal import Mode
+from aerobalance.estimation.least_squares import least_squares
 from aerobalance.estimation.observation import Observation
 from aerobalance.estimation.record import FEWEST_SAMPLES, ComponentRecord
 from aerobalance.estimation.spectra.lines import Line, reading_of_lines
@@ -78,8 +79,7 @@ def without_steps(reading: Observation, steps: Sequence[Step]) -> Array:
 
 def _less(values: Array, columns: Array) -> Array:
     """Values less what columns explain of them best, shape (n,)."""
-    sizes, *_ = np.linalg.lstsq(columns, values, rcond=None)
-    return np.asarray(values - columns @ sizes)
+    return np.asarray(values - columns @ least_squares(values, columns)[0])
 
 
 def _near(columns: Array, mode: Mode, interval: float) -> Array:

@@ -25,6 +25,7 @@ from aerobalance.estimation.checks.ground_witnesses import (
 from aerobalance.estimation.least_squares import DEPENDENT, whitened
 from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.recording.channel import Array
+from aerobalance.recording.linalg import sums_of_products
 from aerobalance.recording.side_by_side import side_by_side
 
 
@@ -219,7 +220,8 @@ def lines_of(series: Array) -> Lines:
 def _sum(ones: Lines, others: Lines) -> Array:
     """Products of series summed over all components and samples, shapes (m, c, p) and (m, c, q)."""
     flat = ones.reshape(-1, ones.shape[-1])
-    return np.asarray(np.real(flat.conj().T @ others.reshape(len(flat), *others.shape[2:])), dtype=np.float64)
+    found = np.dot(flat.conj().T, others.reshape(len(flat), *others.shape[2:]))  # as `sums_of_products`
+    return np.asarray(np.real(found), dtype=np.float64)
 
 
 def _weights(lines: Lines, *, samples: int) -> tuple[Lines, tuple[int, ...]]:
@@ -232,7 +234,7 @@ def _weights(lines: Lines, *, samples: int) -> tuple[Lines, tuple[int, ...]]:
     weights = np.empty((len(edges) - 1, size, size), dtype=np.complex128)
     for place, (first, last) in enumerate(pairwise(edges)):
         own = lines[first:last]
-        whole = own.T @ own.conj()
+        whole = np.dot(own.T, own.conj())
         scale = np.maximum(np.sqrt(np.real(np.diag(whole))), 1e-300)
         level, turned = np.linalg.eigh(whole / np.outer(scale, scale))
         # of so many independent lines the inverse is too large by this part; that of one series is one
@@ -245,7 +247,7 @@ def _orthonormal(columns: Array) -> Array:
     """Columns that span the same, shape (n, up to p)."""
     scale = np.sqrt(np.einsum("np,np->p", columns, columns))
     scale[scale == 0] = 1.0
-    information, vectors = np.linalg.eigh(columns.T @ columns / np.outer(scale, scale))
+    information, vectors = np.linalg.eigh(sums_of_products(columns, columns) / np.outer(scale, scale))
     kept = information > DEPENDENT**2 * information[-1]
     return np.asarray((vectors[:, kept] / np.sqrt(information[kept]) / scale[:, None]).T @ columns.T).T
 
@@ -257,5 +259,5 @@ def _less(series: Array, basis: Array) -> Array:
     """
     rows = series.T
     for _ in range(2):
-        rows = rows - (rows @ basis) @ basis.T
+        rows = rows - sums_of_products(rows.T, basis) @ basis.T
     return rows.T
