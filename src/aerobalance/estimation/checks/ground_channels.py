@@ -367,7 +367,7 @@ def _gains_of_delays(white: White, motion: Lines, whole: Lines, *, samples: int)
     """
     # what is white stays so when it is moved: one pass of the filter tells all delays
     most = int(SETTINGS.reach * samples)
-    lines = np.einsum("mc,mc->m", motion, np.conj(white.weighted(whole)))
+    lines = np.einsum("mc,mc->m", motion, np.conj(white.weighted(whole, motion)))
     lines[[0, -1]] *= 2.0
     both = irfft(lines, length_of(samples)) * length_of(samples) / 2
     return np.asarray(np.concatenate([both[-most:], both[: most + 1]]) ** 2 / white.squares(motion) / 2)

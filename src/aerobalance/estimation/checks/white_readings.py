@@ -172,7 +172,7 @@ class White:
         """Sizes of shapes in the readings, or in others, that are expected to be of some size."""
         shown, shapes = self.shown if shown is None else shown, columns.shape[-1]
         both = np.zeros((shapes, shapes + 1))
-        for own, weight in self.bands():  # of all lines at once the products would be as large as the shapes
+        for own, weight in self.bands(columns):  # of all lines at once the products would be as large as the shapes
             some = columns[own]
             whole = np.concatenate([some, shown[own, :, None]], axis=-1)
             both += _sum(np.matmul(weight, some), whole)  # weights are Hermitian
@@ -186,18 +186,20 @@ class White:
 
     def squares(self, shown: Lines) -> float:
         """Sum of the squares of readings, shape (m, c), less what they have in common."""
-        return float(_sum(shown[..., None], self.weighted(shown)[..., None])[0, 0])
+        return float(_sum(shown[..., None], self.weighted(shown, shown)[..., None])[0, 0])
 
-    def weighted(self, shown: Lines) -> Lines:
-        """Readings times their weights, shape (m, c)."""
-        found = np.empty_like(shown)
-        for own, weight in self.bands():
+    def weighted(self, shown: Lines, motion: Lines) -> Lines:
+        """Readings times their weights, shape (m, c), in bands where there is some motion, shape (m, c); else zero."""
+        found = np.zeros_like(shown)
+        for own, weight in self.bands(motion):
             np.matmul(shown[own], weight.T, out=found[own])
         return found
 
-    def bands(self) -> Iterator[tuple[slice, Lines]]:
-        """The lines of each band, and their weights, shape (c, c)."""
-        return ((slice(*ends), weight) for ends, weight in zip(pairwise(self.edges), self.weights, strict=True))
+    def bands(self, motion: Lines) -> Iterator[tuple[slice, Lines]]:
+        """The lines of each band where there is some motion, shape (m, ...), and their weights, shape (c, c)."""
+        for ends, weight in zip(pairwise(self.edges), self.weights, strict=True):
+            if motion[slice(*ends)].any():  # a channel moves at few of them
+                yield slice(*ends), weight
 
 
 def _inside(series: Array, ends: int) -> Array:
