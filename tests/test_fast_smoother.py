@@ -132,6 +132,24 @@ def test_smoothing_by_blocks_is_smoothing_sample_by_sample(model, kind, n, rng):
     assert np.sqrt(fast.smoothed_variance + 1e-300) == pytest.approx(deviation, rel=TOLERANCE, abs=TOLERANCE * 1e-3)
 
 
+@pytest.mark.soak(first=len(MODELS))
+@pytest.mark.parametrize("model", MODELS)
+@pytest.mark.parametrize(("kind", "n"), [("gaps", 2500), ("whole", 50), ("a long gap", 4000), ("whole", 2500)])
+def test_sums_of_what_is_shown_are_those_of_the_innovations(model, kind, n, rng):
+    system = MODELS[model]()
+    present = gaps(n, kind)
+    series = np.where(present, simulated(rng, system, n), 0.0)[:, None]
+    filter_ = KalmanFilter.of(system, present)
+    shown = np.empty((1, filter_.shown))
+    states = filter_.smooth(series, [FORCE], shown=shown)
+    weights = rng.normal(size=(3, filter_.shown))
+    again, sums = filter_.smooth_and_sum(series, [FORCE], filter_.weighed(weights))
+    np.testing.assert_array_equal(again, states)
+    # rounding of the readings, through a filter that may make as much of each as its largest number
+    size = np.sqrt(filter_.shown / system.noise_variance) * np.max(np.abs(series))
+    assert np.abs(sums - weights @ shown.T).max() < 1e-9 * max(size, float(np.abs(shown).max()))
+
+
 STEPS = {
     "at start and end": (0.0, 0.8, 2.6, -3.3, -0.4),  # the last samples count from the end
     "inside": (611.0, 1403.4, 1405.1),

@@ -14,6 +14,7 @@ from aerobalance.estimation.least_squares import generalised_least_squares, leas
 from aerobalance.estimation.observation import Observation, SpectralPrior
 from aerobalance.estimation.spectra.lines import Line, columns_of_lines
 from aerobalance.estimation.statespace.kalman import FORCE, LOAD, KalmanFilter, StateSpace
+from aerobalance.estimation.statespace.steady_run import Weighed
 from aerobalance.estimation.steps import Step, columns_of, response_to, shape_of, side_variance
 from aerobalance.recording.channel import Array
 
@@ -265,6 +266,11 @@ class LinearSmoother:
         scale[scale == 0] = 1.0
         return smooth - self.forms, np.linalg.pinv((shown / scale).T, rcond=1e-10) / scale
 
+    @cached_property
+    def _weights(self) -> tuple[Weighed, ...]:
+        """What makes sizes of the known shapes of a series that the filter runs along."""
+        return self.filter.weighed(self._shapes[1])
+
     @property
     def size_errors(self) -> Array:
         """Error of the force where the size of a known shape is wrong by 1, less the shape itself, shape (n, p)."""
@@ -285,9 +291,8 @@ class LinearSmoother:
 
     def apart(self, series: Array) -> tuple[Array, Array]:
         """The force of several series (n, c) if they have no known shapes, (n, c) [N], and sizes of these, (p, c)."""
-        shown = np.empty((series.shape[1], self.filter.shown))
-        force = self.filter.smooth(series, [FORCE], shown=shown)[:, :, 0]
-        return force, self._shapes[1] @ shown.T
+        force, sizes = self.filter.smooth_and_sum(series, [FORCE], self._weights)
+        return force[:, :, 0], sizes
 
 
 def name_of_sizes(reading: Observation, steps: Sequence[Step]) -> str:

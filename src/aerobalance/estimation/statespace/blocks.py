@@ -14,7 +14,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
@@ -51,6 +51,8 @@ class BlockForms:
         State after a block by its readings, shape (BLOCK, d).
     over, back
         What a block makes of the state before it, and its transpose, by their columns, as `_kernels.chain` takes them.
+    told, told_of_state
+        Adjoint state before a block by its readings, shape (BLOCK, d), and less that by the state before it, (d, d).
     """
 
     steady: SteadyState
@@ -60,6 +62,8 @@ class BlockForms:
     entries: Array
     over: Array
     back: Array
+    told: Array
+    told_of_state: Array
 
     @classmethod
     def of(cls, steady: SteadyState) -> BlockForms:
@@ -73,7 +77,9 @@ class BlockForms:
         room = np.zeros((2, len(whole), len(whole) + -len(whole) % WIDTH))
         room[0, :, : len(whole)], room[1, :, : len(whole)] = whole.T, whole
         over, back = room
-        return cls(steady, powers, rows, own, np.ascontiguousarray(entries[::-1]), over, back)
+        shown = rows / steady.variance
+        entries = np.ascontiguousarray(entries[::-1])
+        return cls(steady, powers, rows, own, entries, over, back, own.T @ shown, rows.T @ shown)
 
     def chain(self, states: Array, *, forward: bool = True) -> None:
         """Add to each state at the edges, shape (c, any, d), what becomes of the one before it; or back in time."""
@@ -117,16 +123,64 @@ class BlockForms:
         self.chain(states, forward=False)
         return states
 
+    def adjoint_of(self, series: Array, states: Array, last: Array) -> Array:
+        """Return the same from readings and predicted states at the edges, without the innovations between them."""
+        whole, left = _divided(series)
+        count, after = left.shape[1], np.empty_like(states)
+        np.matmul(whole, self.told, out=after[:, :-1])
+        after[:, :-1] -= states[:, :-1] @ self.told_of_state
+        shown = self.innovations(left, states[:, -1:]) @ self.rows[:count]
+        after[:, -1] = last @ self.powers[count] + shown / self.steady.variance
+        self.chain(after, forward=False)
+        return after
+
+    def weighed(self, weights: Array) -> tuple[Array, Array]:
+        """Return what sums of innovations of some weights, shape (p, m), are of the readings and states at the edges.
+
+        Returns
+        -------
+        by_series, by_states
+            Weights of the readings, shape (p, m), and of the states, which count less, shape (p, m // BLOCK + 1, d).
+        """
+        by_series = np.empty_like(weights)
+        (whole, left), (of_whole, of_left) = _divided(weights), _divided(by_series)
+        count = left.shape[1]
+        np.matmul(whole, self.own, out=of_whole)
+        of_left[:] = left @ self.own[:count, :count]
+        by_states = np.empty((weights.shape[0], whole.shape[1] + 1, self.rows.shape[1]))
+        np.matmul(whole, self.rows, out=by_states[:, :-1])
+        by_states[:, -1] = left @ self.rows[:count]
+        return by_series, by_states
+
     def output(self, row: Array) -> OutputForms:
         """Return what makes a row (d,) of the state, given all readings."""
         column = self.steady.covariance @ row
         along = row @ self.powers[:BLOCK]
+        innovations = _toeplitz_from(self.rows @ column / self.steady.variance).T
+        series = _toeplitz_below(along @ self.steady.entry)
         return OutputForms(
-            along,
+            self,
+            along - innovations @ self.rows,
             np.ascontiguousarray((self.powers[1:] @ column)[::-1]),
-            _toeplitz_below(along @ self.steady.entry),
-            np.ascontiguousarray(_toeplitz_from(self.rows @ column / self.steady.variance).T),
+            innovations @ self.own + series,
+            OfInnovations(along, series, innovations),
         )
+
+
+class OfInnovations(NamedTuple):
+    """A row of the state at the samples of a block, by the innovations too: for what is left at the end of a stretch.
+
+    Attributes
+    ----------
+    states
+        By the state before the block, shape (BLOCK, d).
+    series, innovations
+        By the readings of the block and their innovations, shape (BLOCK, BLOCK).
+    """
+
+    states: Array
+    series: Array
+    innovations: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,20 +189,23 @@ class OutputForms:
 
     Attributes
     ----------
+    forms
+        The filter.
     states, adjoint
         By the state before the block and the adjoint state after it, shape (BLOCK, d).
-    series, innovations
-        By the readings of the block and their innovations, shape (BLOCK, BLOCK).
+    series
+        By the readings of the block, shape (BLOCK, BLOCK).
+    at_end
+        The same where a block is not whole: innovations that would follow have no part in it.
     """
 
+    forms: BlockForms
     states: Array
     adjoint: Array
     series: Array
-    innovations: Array
+    at_end: OfInnovations
 
-    def write(
-        self, out: Array, series: Array | None, states: Array, innovations: Array, adjoint: Array, *, last: Array
-    ) -> None:
+    def write(self, out: Array, series: Array | None, states: Array, adjoint: Array, *, last: Array) -> None:
         """Write the row along a stretch, shape (c, m).
 
         Parameters
@@ -157,22 +214,24 @@ class OutputForms:
             Where it is written.
         series
             Readings, shape (c, m); None if they are zero.
-        states, innovations, adjoint
+        states, adjoint
             What `BlockForms` makes of them.
         last
             Adjoint states after the last sample, shape (c, d).
         """
-        (whole, left), (of_whole, of_left) = _divided(innovations), _divided(out)
-        count = left.shape[1]
-        np.matmul(whole, self.innovations.T, out=of_whole)
-        of_whole += states[:, :-1] @ self.states.T
+        of_whole, of_left = _divided(out)
+        np.matmul(states[:, :-1], self.states.T, out=of_whole)
         of_whole += adjoint[:, 1:] @ self.adjoint.T
-        of_left[:] = left @ self.innovations[:count, :count].T
-        of_left += states[:, -1] @ self.states[:count].T + last @ self.adjoint[BLOCK - count :].T
-        if series is not None:
+        if series is None:
+            left = np.zeros_like(of_left)
+        else:
             whole, left = _divided(series)
             of_whole += whole @ self.series.T
-            of_left += left @ self.series[:count, :count].T
+        count, end = left.shape[1], self.at_end
+        if count:
+            innovations = self.forms.innovations(left, states[:, -1:])
+            of_left[:] = innovations @ end.innovations[:count, :count].T + left @ end.series[:count, :count].T
+            of_left += states[:, -1] @ end.states[:count].T + last @ self.adjoint[BLOCK - count :].T
 
 
 def powers_of(matrix: Array, highest: int) -> Array:

@@ -151,7 +151,7 @@ def _variance_from_c(
         columns = planner.after(part.stop - first, columns)
         last = -(columns.T @ root.T) @ root
         adjoint, out = forms.adjoint(-shown, last), np.empty_like(shown)
-        output.write(out, None, states, -shown, adjoint, last=last)
+        output.write(out, None, states, adjoint, last=last)
         variance[part] = np.sum(out**2, axis=0)
         longest = LOG2_LONGEST_PART + (3 if columns.shape[1] <= FEW_COLUMNS else 0)
         first, places = part.stop, min(places + 2, longest)
