@@ -31,13 +31,15 @@ SECONDS = (24.0, 60.0)
 
 PROGRAM = """
 import pathlib, sys
-from aerobalance.app.cli import main
-code = main(sys.argv[1:])
-lines = pathlib.Path("/proc/self/status").read_text().splitlines()
-print(next(line for line in lines if line.startswith("VmHWM")), file=sys.stderr)
-sys.exit(code)
+from aerobalance.app.cli import run
+try:
+    run()
+finally:
+    lines = pathlib.Path("/proc/self/status").read_text().splitlines()
+    print(next(line for line in lines if line.startswith("VmHWM")), file=sys.stderr)
 """
-"""A command that says how much memory it had: what the system says of a child counts its parent's before it begins."""
+"""The command, as it is started, that says how much memory it had: what the system says of a child counts its parent's
+before it begins."""
 
 
 class Spent(NamedTuple):
