@@ -64,9 +64,13 @@ def test_of_coupled_components_the_slowest_mode_counts(rng):
         estimate_force(fast, coupled)
 
 
+@pytest.mark.parametrize("lost", [0, 7])
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "ms"), (1e6, "us")])
-def test_times_in_another_unit_than_they_say_are_refused(factor, unit):
-    force, said = worked_out(replace(made("soft 30 Hz, 100 N"), rate=RATE / factor), dynamics(), {})
+def test_times_in_another_unit_than_they_say_are_refused(factor, unit, lost):
+    run = made("soft 30 Hz, 100 N")
+    load = run.columns["AF"].copy()
+    load[500 : 500 + lost] = np.nan
+    force, said = worked_out(replace(run.with_column("AF", load), rate=RATE / factor), dynamics(), {})
     assert force is None
     assert said[0].startswith(
         f"record: AF rings at {FREQUENCY / factor:.4g} Hz by a clock of {RATE / factor:.6g} samples"

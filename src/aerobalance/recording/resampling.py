@@ -196,10 +196,12 @@ def on_one_delay(readings: Array, channels: Sequence[Channel], *, delay: float, 
 
 
 def interpolate_gaps(loads: Array) -> Array:
-    """Return loads with their gaps filled from the samples around them, shape (samples, n).
+    """Return loads with their gaps filled from the samples around them, shape (samples, n); themselves without gaps.
 
     The best linear prediction of a process with the record's own autocovariance.
     """
+    if np.isfinite(loads).all():
+        return loads
     filled = loads.copy()
     index = np.arange(loads.shape[0])
     for column in filled.T:

@@ -89,7 +89,7 @@ def _rings_at(recording: Recording, name: str, frequency: float, *, width: float
     interval = 1 / recording.rate
     if not FEWEST_PERIODS / recording.whole_duration < frequency < SURROUNDINGS * recording.rate / 2:
         return False
-    values = interpolate_gaps(recording.channel(name).values)
+    values = interpolate_gaps(recording.channel(name).values[:, None])[:, 0]
     density = density_of(values - values.mean(), interval)
     place = np.fft.rfftfreq(length_of(values.size), interval)[INSIDE] / frequency
     near = min(max(SAME_FREQUENCY, width, RESOLVED / (recording.whole_duration * frequency)), WIDEST)
