@@ -13,7 +13,7 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -64,6 +64,7 @@ class BlockForms:
     back: Array
     told: Array
     told_of_state: Array
+    _outputs: dict[bytes, OutputForms] = field(init=False, default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, steady: SteadyState) -> BlockForms:
@@ -153,18 +154,22 @@ class BlockForms:
         return by_series, by_states
 
     def output(self, row: Array) -> OutputForms:
-        """Return what makes a row (d,) of the state, given all readings."""
+        """Return what makes a row (d,) of the state, given all readings; it is kept for the next series."""
+        known = self._outputs.get(row.tobytes())
+        if known is not None:
+            return known
         column = self.steady.covariance @ row
         along = row @ self.powers[:BLOCK]
         innovations = _toeplitz_from(self.rows @ column / self.steady.variance).T
         series = _toeplitz_below(along @ self.steady.entry)
-        return OutputForms(
-            self,
+        made = OutputForms(
             along - innovations @ self.rows,
             np.ascontiguousarray((self.powers[1:] @ column)[::-1]),
             innovations @ self.own + series,
-            OfInnovations(along, series, innovations),
+            OfInnovations(along, series, innovations, self.own, self.rows),
         )
+        self._outputs[row.tobytes()] = made
+        return made
 
 
 class OfInnovations(NamedTuple):
@@ -176,11 +181,15 @@ class OfInnovations(NamedTuple):
         By the state before the block, shape (BLOCK, d).
     series, innovations
         By the readings of the block and their innovations, shape (BLOCK, BLOCK).
+    own, rows
+        Innovations by the readings and less those by the state, as of `BlockForms`.
     """
 
     states: Array
     series: Array
     innovations: Array
+    own: Array
+    rows: Array
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -189,8 +198,6 @@ class OutputForms:
 
     Attributes
     ----------
-    forms
-        The filter.
     states, adjoint
         By the state before the block and the adjoint state after it, shape (BLOCK, d).
     series
@@ -199,7 +206,6 @@ class OutputForms:
         The same where a block is not whole: innovations that would follow have no part in it.
     """
 
-    forms: BlockForms
     states: Array
     adjoint: Array
     series: Array
@@ -229,7 +235,7 @@ class OutputForms:
             of_whole += whole @ self.series.T
         count, end = left.shape[1], self.at_end
         if count:
-            innovations = self.forms.innovations(left, states[:, -1:])
+            innovations = left @ end.own[:count, :count].T - states[:, -1] @ end.rows[:count].T
             of_left[:] = innovations @ end.innovations[:count, :count].T + left @ end.series[:count, :count].T
             of_left += states[:, -1] @ end.states[:count].T + last @ self.adjoint[BLOCK - count :].T
 
