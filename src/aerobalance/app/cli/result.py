@@ -79,24 +79,26 @@ def show(work: Callable[[], dict[str, Any]], manner: Manner, *, doing: str) -> N
 
 def _answer(result: dict[str, Any], manner: Manner) -> None:
     """Print the result; where the file itself goes to standard output, print it beside."""
-    from aerobalance.app.options import result_as_options
+    from aerobalance.app.options import as_options, result_as_options
     from aerobalance.io.safe_write import OUTPUTS
 
-    result = result_as_options(result)
-    texts = {key: result.pop(key, "") for key in FOR_PEOPLE}
+    result = dict(result)
+    summary, details = (result.pop(key, "") for key in FOR_PEOPLE)
+    written: dict[str, Any] = {}
     if OUTPUTS.written:
-        result["outputs"] = [streams.plain(str(path)) for path in OUTPUTS.written]
-        result["replaced"] = [str(path) for path in OUTPUTS.replaced]
+        written["outputs"] = [streams.plain(str(path)) for path in OUTPUTS.written]
+        written["replaced"] = [str(path) for path in OUTPUTS.replaced]
     piped = streams.pass_on()
     if manner.as_json:
         from aerobalance.io.artefacts import json_text
 
-        typer.echo(streams.plain(json_text(result)), nl=False, err=piped)
+        typer.echo(streams.plain(json_text(result_as_options(result) | written)), nl=False, err=piped)
         return
-    parts = [texts["summary"].rstrip()]
+    parts = [as_options(summary).rstrip()]
     if manner.verbose:
-        parts += ["", *([texts["details"].rstrip(), ""] if texts["details"] else []), text_of(result), ""]
-    parts += closing(result)
+        told = as_options(details() if callable(details) else details).rstrip()  # laid out where it is asked for
+        parts += ["", *([told, ""] if told else []), text_of(result_as_options(result) | written), ""]
+    parts += closing(result | written)
     typer.echo(streams.plain("\n".join(parts).strip("\n")), err=piped)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple
 
@@ -127,7 +128,7 @@ def force(
         )
         result["report"] = report.name
     result["file"] = path.name
-    return {**result, "summary": force_text(result), "details": budget_text(result["components"])}
+    return {**result, "summary": force_text(result), "details": partial(budget_text, result["components"])}
 
 
 @dataclass(slots=True, eq=False)
