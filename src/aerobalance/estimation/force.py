@@ -275,7 +275,7 @@ class ForceWork:
         settings = replace(self.settings, keep_outliers=True) if slower else self.settings
         return _Part(names, read.clock, ReadyRecord.of(read, self.dynamics, settings))
 
-    def _undivided(self, ready: ReadyRecord, *, whole: bool, then: Callable[[], None] = lambda: None) -> Force:
+    def _undivided(self, ready: ReadyRecord, *, whole: bool, then: Callable[[], bool] = lambda: False) -> Force:
         """Forces of a part."""
         with one_after_the_other() if ready.given.samples < FEWEST_FOR_THREADS else nullcontext():
             return _undivided(ready, self.settings, noise=self.noise, whole=whole, then=then)
@@ -308,7 +308,7 @@ def _undivided(
     *,
     noise: Recording | Loads | Mapping[str, NoiseSpectrum] | None,
     whole: bool,
-    then: Callable[[], None],
+    then: Callable[[], bool],
 ) -> Force:
     """Forces of a run that is worked out at once.
 
@@ -321,7 +321,7 @@ def _undivided(
     whole
         Whether all contributions to the uncertainty are kept as they are, and not as few numbers as show.
     then
-        Called when most of the memory and of both processors is done with.
+        Called when most of the memory and of both processors is done with; returns whether it has begun other work.
     """
     given, record, seen = ready
     model = record.dynamics
@@ -338,7 +338,7 @@ def _undivided(
     parts = forces_of(record, settings, noises=noises, few=not whole)
     if isinstance(given, Loads):
         parts = with_matrix(parts, given, model)
-    then()
+    beside = then()
     known = partial(_known, record, given if isinstance(given, Loads) else None)
     # what rounding leaves of a dead channel is no noise
     own = {
@@ -346,7 +346,7 @@ def _undivided(
         for name, part in parts.items()
     }
     parts = {name: replace(part, doubts=(*_of(name, told + seen), *own[name])) for name, part in parts.items()}
-    with nullcontext() if whole else one_after_the_other():  # the next part is read beside it
+    with one_after_the_other() if beside else nullcontext():  # the next part is read beside it
         force = checked(Force(parts, known, settings, noises))
     for doubt in force.doubts:
         if doubt not in told:

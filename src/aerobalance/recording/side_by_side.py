@@ -131,13 +131,17 @@ class Ahead(Generic[Given, Result]):
         if self._pool is not None:
             self._pool.shutdown(cancel_futures=True)
 
-    def begin(self, place: int) -> None:
-        """Begin with the thing of that place, in another thread; nothing is done where there is none, or one alone."""
+    def begin(self, place: int) -> bool:
+        """Begin with the thing of that place in another thread; return whether it has begun.
+
+        Nothing is done where there is none, or where one thread works alone.
+        """
         if place >= len(self._given) or _alone.get():
-            return
+            return False
         if self._pool is None:
             self._pool = ThreadPoolExecutor(1)
         self._begun = place, self._pool.submit(_kept(self._work), self._given[place])
+        return True
 
     def result(self, place: int) -> Result:
         """What the work makes of the thing of that place, begun or not; what it warned of is said now."""
