@@ -14,13 +14,13 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import rfft
 
 from aerobalance.dynamics.single import Dynamics
 from aerobalance.estimation.checks.colored_noise import noise_assumed
 from aerobalance.estimation.checks.mains_hum import hum_assumed
 from aerobalance.estimation.checks.model_error import error_under
 from aerobalance.estimation.checks.narrow_power import interference_assumed
+from aerobalance.estimation.checks.stretches import Stretches, passed_by
 from aerobalance.estimation.decoupled_record import DecoupledRecord
 from aerobalance.estimation.force_smoother import SmootherResult, instant_columns
 from aerobalance.estimation.independent_record import SingleRecord, moves_along_axis
@@ -34,7 +34,6 @@ from aerobalance.recording.channel import Array, Channel
 from aerobalance.recording.components import STANDARD_GRAVITY, si_unit
 from aerobalance.recording.doubts import Assumption
 from aerobalance.recording.errors import FitError, argument
-from aerobalance.recording.fourier import hann
 from aerobalance.recording.gravity import Gravity
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.sensors import Transfer, filtered
@@ -62,8 +61,6 @@ class AssumptionSettings:
         Time between the readings of two bridges [s]: what converters that take one after the other wait to settle.
     late
         Time by which channels of the ground's motion may usually be late or early unnoticed [s].
-    stretches, stretch
-        Stretches of the record, spread evenly, of which the effect of that is told, and samples of each.
     drift
         Change of the zero of a load from the beginning of a record to its end, over the largest load [1].
     matters
@@ -92,8 +89,6 @@ class AssumptionSettings:
     mass: float = 0.01
     apart: float = 1e-5
     late: float = 1e-3
-    stretches: int = 16
-    stretch: int = 4096
     drift: float = 0.001
     matters: float = 0.1
     told: float = 0.5
@@ -309,58 +304,6 @@ def _of_time(record: DecoupledRecord, fit: SmootherResult, *, least: float) -> I
             f"they would change {name} by {{}}; a delay of each channel says when"
         )
         yield _told("time of reading", name, text, effect, si_unit(name))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Stretches:
-    """Some stretches of a record, spread evenly, under a Hann window.
-
-    Attributes
-    ----------
-    means
-        Mean of each of the k stretches, of which series of c in them, shape (k, c) or (k,).
-    lines
-        Lines of the rest, shape (k, c, m) or (k, m).
-    size
-        Samples of each.
-    """
-
-    means: Array
-    lines: NDArray[np.complex128]
-    size: int
-
-    @classmethod
-    def of(cls, series: Array) -> Stretches:
-        """Take the stretches of series, shape (n, c), or of one, shape (n,)."""
-        size = cls.size_in(len(series))
-        first = np.unique(np.linspace(0, len(series) - size, SETTINGS.stretches).astype(np.intp))
-        stretches = np.empty((first.size, *series.shape[1:], size))
-        for begin, stretch in zip(first, stretches, strict=True):  # along rows, as they are worked on
-            stretch[:] = series[begin : begin + size].T
-        means = stretches.mean(axis=-1)
-        stretches -= means[..., None]
-        stretches *= hann(size)
-        return cls(means, np.asarray(rfft(stretches), dtype=np.complex128), size)
-
-    @staticmethod
-    def size_in(count: int) -> int:
-        """Samples of a stretch of a record of so many samples."""
-        return min(SETTINGS.stretch, count)
-
-    def frequency(self, interval: float) -> Array:
-        """Frequencies of the lines [Hz], shape (m,)."""
-        return np.asarray(np.fft.rfftfreq(self.size, interval), dtype=np.float64)
-
-    def power_of(self, lines: NDArray[np.complex128]) -> float:
-        """Mean square of a series of which the stretches have these lines, shape (k, m), beside their means."""
-        flat = np.ascontiguousarray(lines).view(np.float64).ravel()
-        return 2 * float(flat @ flat) / (len(lines) * self.size * float(np.sum(hann(self.size) ** 2)))
-
-
-def passed_by(fit: SmootherResult, frequency: Array) -> Array:
-    """Return what the smoother lets through of a force, S G^2 / (S G^2 + N), at frequencies [Hz] of shape (m,) [1]."""
-    shown = fit.learned.spectrum.density(frequency) * np.abs(fit.reading.dynamics.response(frequency)) ** 2
-    return np.asarray(shown / (shown + fit.learned.noise_density(frequency, interval=fit.reading.interval)))
 
 
 def _of_single(record: SingleRecord, fit: SmootherResult, unit: str) -> Iterator[Assumption]:

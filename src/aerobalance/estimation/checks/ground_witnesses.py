@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.fft import irfft, next_fast_len, rfft
 from scipy.special import chdtrc, chdtri, ndtr, ndtri
 
-from aerobalance.estimation.checks.assumptions import Stretches, passed_by
+from aerobalance.estimation.checks.stretches import Stretches, passed_by
 from aerobalance.estimation.force_smoother import SmootherResult, instant_columns
 from aerobalance.estimation.prior import fit_prior
 from aerobalance.estimation.record import ComponentRecord
