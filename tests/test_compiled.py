@@ -139,3 +139,36 @@ def test_the_pause_of_the_first_use_is_told_once_on_standard_error(tmp_path):
     assert len(told) == 1
     assert first.stderr.replace(told[0] + "\n", "") == second.stderr
     assert first.stdout.replace("written", "") == second.stdout.replace("replaced", "")
+
+
+KEPT_AND_NEW = """
+import sys
+import numpy as np
+from aerobalance.recording.compiled import compiled
+@compiled()
+def added(x):
+    found = np.empty(x.size)
+    for place in range(x.size):
+        found[place] = x[place] + 1.0
+    return found
+print(added(np.arange(3.0)), "numba.np.npyimpl" in sys.modules)
+@compiled()
+def twice(x):
+    return 2.0 * added(x)[-1]
+print(twice(np.arange(3.0)), "numba.np.npyimpl" in sys.modules)
+"""
+
+
+def test_what_is_kept_is_loaded_without_what_the_compiler_compiles_with(tmp_path):
+    """That takes longer than all the loops; what is compiled afterwards calls what was loaded."""
+    (tmp_path / "loops.py").write_text(KEPT_AND_NEW)
+
+    def said():
+        words = [sys.executable, "-c", "import loops"]
+        return subprocess.run(words, cwd=tmp_path, capture_output=True, text=True, check=True).stdout.splitlines()
+
+    assert said() == ["[1. 2. 3.] True", "6.0 True"]  # both compiled
+    assert said() == ["[1. 2. 3.] False", "6.0 False"]  # both kept
+    (kept,) = tmp_path.glob("__pycache__/loops.twice*.nbi")
+    kept.unlink()
+    assert said() == ["[1. 2. 3.] False", "6.0 True"]
