@@ -116,7 +116,9 @@ def test_smooth_load_through_resonance_nears_the_wiener_bound(mass, rng):
     assert rms(error) <= 1.2 * bound
     covered = np.mean(np.abs(error) <= 1.96 * middle(estimate.uncertainty))
     # 120 Hz for 9 s make about 2000 independent errors: 95 % +- 0.5 % if the uncertainty were exact
-    assert 0.90 <= covered <= 0.999
+    assert covered >= 0.90
+    # what some records leave open, of noise or dynamics, makes the uncertainty larger
+    assert covered <= 0.98 or any("leaves open" in name for name in estimate.budget)
     assert not estimate.steps
     assert not estimate.assumptions
 
@@ -271,17 +273,20 @@ def test_a_load_read_before_the_moving_ground_counts_as_missing(rng):
     """Of 12 samples the ground's motion was not recorded: the force of them is as uncertain as it is wrong."""
     late, count = 12, 3200
     ground = band_noise(rng, low=5, high=60, rms=2.0, period=10.0)(np.arange(count + late) / RATE)
+    force = band_noise(rng, low=5, high=60, rms=50.0, period=10.0)(np.arange((count + late) * FINE) / (RATE * FINE))
     whole = record(AF=np.zeros(count + late), ground_acceleration=(ground, {"noise": 1e-3}))
-    load = force_record(whole, T128).component_record("AF").from_ground + rng.normal(0, 2, count + late)
+    load = felt(T128, force) + force_record(whole, T128).component_record("AF").from_ground
+    load, force = load + rng.normal(0, 2, count + late), force[::FINE]
     ground = ground + rng.normal(0, 1e-3, ground.size)
     in_time = record(AF=(load[late:], {"noise": 2.0}), ground_acceleration=(ground[late:], {"noise": 1e-3}))
     delayed = record(
         AF=(load[:-late], {"noise": 2.0, "delay": late / RATE}), ground_acceleration=(ground[late:], {"noise": 1e-3})
     )
     sooner, later = (estimate_force(one, T128).only for one in (in_time, delayed))
-    assert np.max(np.abs(sooner.values) / sooner.uncertainty) < 6
-    assert np.max(np.abs(later.values) / later.uncertainty) < 6
-    assert later.uncertainty[0] > sooner.uncertainty[0]
+    assert np.max(np.abs(sooner.values - force[late:]) / sooner.uncertainty) < 6
+    assert np.max(np.abs(later.values - force[:-late]) / later.uncertainty) < 6
+    # 7.5 ms are half a period of the fastest force: before the first sample that counts little is known of its 50 N
+    assert later.uncertainty[0] > 10.0 > 2 * sooner.uncertainty[0]
 
 
 def test_smoother_bridges_missing_samples(rng):

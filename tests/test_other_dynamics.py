@@ -122,7 +122,7 @@ def test_a_missing_mode_is_told_with_the_sign_of_its_share(share: float, rng) ->
     """
     count = trials(1, 4)
     for _ in range(count):
-        mode = Mode(rng.uniform(200, 280), 0.008, share)
+        mode = Mode(rng.uniform(240, 280), 0.008, share)
         setup = {"dynamics": BARE.with_modes(mode), "rate": RATE, "rms": 60.0, "noise": 2.0}
         run, _ = smooth_run(rng, SHARP["0-300 Hz"], seconds=10.0, **setup)
         found = other_dynamics_in(force_record(run, BARE).component_record("AF"), noise=2.0).missing

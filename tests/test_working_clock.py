@@ -356,6 +356,7 @@ def test_steps_are_found_between_the_samples_of_the_record(rng) -> None:
             assert not off.any()
 
 
+@pytest.mark.filterwarnings("ignore:.*may ring with:UserWarning")  # some records leave other dynamics open
 def test_the_worst_part_is_told_by_the_time_of_the_record(rng) -> None:
     _, load = force_and_load(rng, steps=())
     part, told = work(recording(load)).force().worst()
