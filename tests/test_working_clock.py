@@ -24,6 +24,7 @@ from aerobalance.estimation.checks.colored_noise import LEFT_OPEN
 from aerobalance.estimation.force import ForceWork
 from aerobalance.estimation.force_parts import DIVISION, Division
 from aerobalance.estimation.forces import ForceSettings
+from aerobalance.estimation.record_ends import FURTHER, LENGTH, _within, load_at_ends, stretches_of
 from aerobalance.estimation.record_look import FREEDOM, Look, _of_block
 from aerobalance.estimation.record_look import SETTINGS as LOOK
 from aerobalance.estimation.working_record import AT_ONCE, DecimatedRecord
@@ -709,6 +710,42 @@ def test_a_burst_where_pieces_meet_is_seen(late: int, rng) -> None:
     place, time = (2 << 16) + late, np.arange(-200, 200) / RATE
     values[place - 200 : place + 200] += 25 * NOISE * np.sin(2 * np.pi * 2500 * time) * np.hanning(400)
     assert work(recording(values)).working.every == 1
+
+
+@pytest.mark.filterwarnings("ignore::aerobalance.recording.errors.DataQualityWarning")
+@pytest.mark.parametrize("place", ["begin", "end"])
+@pytest.mark.parametrize("middle", [20, 150, 300, 500])
+def test_a_burst_near_an_end_of_a_record_is_seen(place: str, middle: int, rng) -> None:
+    """The window of the look is zero there. Of 100 samples and 8 times the noise: 2.5 times the power of 512."""
+    values, near = NOISE * rng.normal(size=6 << 16), np.arange(512)
+    burst = 8 * NOISE * np.sin(2 * np.pi * 2500 * near / RATE) * (np.abs(near - middle) < 50)
+    ends = {"begin": slice(None, 512), "end": slice(None, -513, -1)}
+    values[ends[place]] += burst
+    assert work(recording(values)).working.every == 1
+
+
+@pytest.mark.parametrize("noise", [0.0, NOISE])
+def test_what_is_left_of_a_load_in_its_band_is_no_burst(noise: float, rng) -> None:
+    """Of a load a million times the noise, and of one without noise, whose ends are compared with nothing else."""
+    frequency = np.fft.rfftfreq(6 << 16, 1 / RATE)
+    for size in (1.0, 1e6 * NOISE):
+        load = np.fft.irfft(np.fft.rfft(rng.normal(size=6 << 16)) * (frequency < 100.0), 6 << 16)
+        load *= size / load.std() * np.linspace(2, 0, 6 << 16)  # most of it at one end
+        stretches = [stretches_of(load + noise * rng.normal(size=load.size))]
+        assert not any(load_at_ends(stretches, one / RATE) for one in (150.0, 300.0, 600.0))
+
+
+def test_a_stretch_is_what_is_left_beyond_the_band(rng) -> None:
+    """Of white noise as many of its numbers as the band and the sequences beside it leave."""
+    width = 0.05
+    power = []
+    for _ in range(50):
+        left = rng.normal(size=(1, LENGTH))
+        within = _within(width)
+        power.append(np.sum((left - left @ within @ within.T) ** 2))
+    number = LENGTH - int(np.ceil(2 * LENGTH * width)) - FURTHER
+    np.testing.assert_allclose(within.T @ within, np.eye(LENGTH - number), atol=1e-10)
+    assert np.mean(power) == pytest.approx(number, abs=5 * np.sqrt(2 * number / 50))  # chi-squared
 
 
 def test_noise_alone_is_no_reason_to_keep_it(rng) -> None:

@@ -16,6 +16,7 @@ from scipy.special import chdtri
 from aerobalance.balance.loads import Loads
 from aerobalance.estimation.checks.impossible_channels import is_of_ground
 from aerobalance.estimation.checks.outliers import outliers_of, without_outliers
+from aerobalance.estimation.record_ends import load_at_ends, stretches_of
 from aerobalance.recording.channel import Array
 from aerobalance.recording.decimation import is_short_gap
 from aerobalance.recording.fourier import hann
@@ -98,11 +99,14 @@ class Piece(NamedTuple):
     ----------
     levels
         Levels of its loads, by component.
+    stretches
+        Stretches of them that the ends of the record are compared by (`aerobalance.estimation.record_ends`), likewise.
     gaps
         Lengths of the gaps of each load and channel of the ground's motion that has some [samples].
     """
 
     levels: dict[str, Levels]
+    stretches: dict[str, Array]
     gaps: tuple[NDArray[np.intp], ...]
 
 
@@ -131,8 +135,8 @@ class Look:
     _highest: float = 0.0
     _power: dict[str, Array] = field(default_factory=dict)
     _least: dict[str, Array] = field(default_factory=dict)
-    _blocks: dict[str, int] = field(default_factory=dict)
     _segments: dict[str, int] = field(default_factory=dict)
+    _stretches: dict[str, list[Array]] = field(default_factory=dict)
     _gaps: tuple[NDArray[np.intp], ...] = ()
 
     @property
@@ -145,9 +149,9 @@ class Look:
     def shown(self) -> tuple[float, ...]:
         """Power at each natural frequency over that of the noise, in the block and the load where it is least [1]."""
         ratios = [
-            least * self._blocks[name] / self._noise(_of_bands(self._power[name][None]))[0] - 1
+            least * self._segments[name] / self._noise(_of_bands(self._power[name][None]))[0] - 1
             for name, least in self._least.items()
-            if self._blocks[name]
+            if self._segments[name]
         ]
         if not ratios:  # all of the record lies in gaps
             return (0.0,) * len(self.modes)
@@ -165,11 +169,13 @@ class Look:
         loads = None
         if gaps and all(map(_are_few, gaps)):  # otherwise it keeps its clock
             loads = self._mostly_whole(np.column_stack([recording.channel(name).values for name in names]))
+        values = {
+            name: recording.channel(name).values if loads is None else loads[:, place]
+            for place, name in enumerate(names)
+        }
         return Piece(
-            {
-                name: self._levels(recording.channel(name).values if loads is None else loads[:, place])
-                for place, name in enumerate(names)
-            },
+            {name: self._levels(one) for name, one in values.items()},
+            {name: stretches_of(one) for name, one in values.items()},
             gaps,
         )
 
@@ -177,14 +183,20 @@ class Look:
         """Add what some pieces show."""
         for piece in pieces:
             self._gaps += piece.gaps
+            for name, stretches in piece.stretches.items():
+                self._stretches.setdefault(name, []).append(stretches)
             for name, levels in piece.levels.items():
                 bands, resonant, segments = levels
                 self._highest = max(self._highest, self._edge(bands, _of_block(segments)))
                 self._segments[name] = self._segments.get(name, 0) + segments * len(bands)
-                self._power[name] = self._power.get(name, np.zeros(bands.shape[1])) + bands.sum(axis=0)
+                # a block of few segments, as gaps leave them, is known less well and counts for as many as it has
+                self._power[name] = self._power.get(name, np.zeros(bands.shape[1])) + segments * bands.sum(axis=0)
                 least = resonant.min(axis=0, initial=np.inf)
                 self._least[name] = np.minimum(self._least.get(name, np.inf), least)
-                self._blocks[name] = self._blocks.get(name, 0) + len(bands)
+
+    def ends_allow(self, band: float) -> bool:
+        """Whether no load beyond a band [Hz] is at the ends of the record, which the windows leave out."""
+        return not any(load_at_ends(one, band / self.rate) for one in self._stretches.values())
 
     def gaps_allow(self, factor: int) -> bool:
         """Whether the gaps of each piece are so few that a clock which is slower by a factor is still less work."""
@@ -202,7 +214,7 @@ class Look:
     def _levels(self, values: Array) -> Levels:
         """Levels of the readings of one load."""
         segment = min(SETTINGS.segment, values.size)
-        # they overlap by half: but at the ends of the record nothing sudden is where all of them have their ends
+        # they overlap by half: nothing sudden is where all of them have their ends, but at the ends of the record
         segments = sliding_window_view(values, segment)[:: max(segment // 2, 1)]
         count = len(segments)
         whole = np.isfinite(segments).all(axis=1)

@@ -99,7 +99,8 @@ def slower_clock(
     except FitError:
         return None  # raised again, with its reason, when the forces are estimated
     for factor in fitting:
-        if _band(record.rate, factor) >= SETTINGS.beyond * look.highest and look.gaps_allow(factor):
+        band = _band(record.rate, factor)
+        if band >= SETTINGS.beyond * look.highest and look.gaps_allow(factor) and look.ends_allow(band):
             return DecimatedRecord(
                 record, made_ready, Decimation(factor, record.samples), dynamics.components, look.shown, beside
             )
