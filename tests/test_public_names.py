@@ -118,6 +118,7 @@ def test_one_component_as_the_documentation_shows_it(rng):
     np.testing.assert_array_equal(same.channel("AF").values, load)
 
 
+@pytest.mark.filterwarnings("ignore:.*from the natural zeros of the calibration:UserWarning")  # of some balances
 def test_six_components_from_outputs_of_the_bridges(rng):
     balance = random_balance(rng)
     matrix = calibrated(balance, rng)

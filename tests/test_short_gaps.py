@@ -128,8 +128,9 @@ def test_decimated_beside_a_long_gap(rng: np.random.Generator) -> None:
         assert np.max(np.abs((found - whole)[known])) < 100.0 * 10 * 1e-4
         far = (place < first - 24 * factor) | (place > stop + 24 * factor)
         if 2 * 24 * factor < first and stop + 2 * 24 * factor < samples:
-            # frequencies that fold twice are left out, where the filter has 2e-5: that of the edges of a gap
-            np.testing.assert_allclose(found[far], whole[far], rtol=0, atol=1e-6)
+            # frequencies that fold twice are left out, where the filter has 2e-5: that of the edges of a gap, of which
+            # 3e-9 of the load come there in half of 300 records, and 1.4e-8 at most
+            np.testing.assert_allclose(found[far], whole[far], rtol=0, atol=100.0 * 5e-8)
     noise = rng.normal(size=(samples, trials(100, 600)))
     noise[7000:7600] = np.nan
     found = decimation.decimated(noise, 690, 770) * np.sqrt(factor)
