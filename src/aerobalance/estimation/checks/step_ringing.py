@@ -19,6 +19,7 @@ from aerobalance.estimation.statespace.kalman import KalmanFilter
 from aerobalance.estimation.step_window import free_motions
 from aerobalance.estimation.steps import Step, response_to
 from aerobalance.recording.channel import Array
+from aerobalance.recording.linalg import sums_of_products
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,10 +119,11 @@ def change_by_steps(reading: Observation, steps: Sequence[Step], learned: Spectr
         known = np.diag(whole)[-2:]
         if not (known > 0).all() or known[0] > 1.0:  # the steps are so near the end that none has begun to ring
             return ChangeBySteps(np.zeros(2), np.diag([1.0, SETTINGS.usual**2]), 0.0)
-        heights, covariance = sizes[1 : 1 + count], whole[-2:, -2:]
-        weight = np.linalg.inv(covariance)
-        covariance = np.linalg.inv(weight + usual)
-        change = np.clip(covariance @ (weight @ sizes[-2:] - usual @ point), -most, most)
+        heights = sizes[1 : 1 + count]
+        # what the slopes have apart from the shapes: the readings may tell one of them through the other alone
+        apart = np.column_stack([one - white[:, 1:-2] @ least_squares(one, white[:, 1:-2])[0] for one in white.T[-2:]])
+        covariance = np.linalg.inv(sums_of_products(apart, apart) + usual)
+        change = np.clip(covariance @ (sums_of_products(apart, white[:, 0]) - usual @ point), -most, most)
         point = point + change
         if (np.abs(change) < SETTINGS.settled * np.sqrt(np.diag(covariance))).all():
             break
