@@ -20,10 +20,11 @@ from aerobalance.io.dynamics_file import write_dynamics
 from aerobalance.recording.analog_filter import AntiAlias
 from aerobalance.recording.channel import Channel
 from aerobalance.recording.components import COMPONENTS, STANDARD_GRAVITY, si_unit
-from aerobalance.recording.doubts import Assumption
+from aerobalance.recording.doubts import Verdict
 from aerobalance.recording.errors import DataQualityWarning
 from aerobalance.recording.recording import Recording
 from aerobalance.simulation.six_balance import random_balance
+from aerobalance.uncertainty.mean_loads import mean_loads
 from faults.cases import Case, all_cases, dynamics
 from faults.trials import recording_of, worked_out
 from helpers.cable_cut import T128
@@ -291,18 +292,23 @@ def test_several_components_are_told_in_one_line():
 
 
 @pytest.mark.parametrize("first", [True, False])
-def test_where_no_readings_are_up_to_an_end_the_load_is_assumed(first: bool, rng) -> None:
-    """400 N all along, of 4000 samples 1000 without readings at an end: without a load there 400 N / 2 rms."""
+def test_where_no_readings_are_up_to_an_end_the_force_is_as_uncertain_as_it_is_large(first: bool, rng) -> None:
+    """400 N all along, of 4000 samples 1000 without readings at an end: 400 N, but for a period of 24 samples."""
     read = 400.0 + rng.normal(0, 2.0, 4000)
 
-    def assumed(missing: slice) -> list[Assumption]:
+    def force(missing: slice) -> ab.Force:
         values = read.copy()
         values[missing] = np.nan
         channels = {"AF": Channel("AF", values, "N")}
-        run = Recording.from_columns(np.arange(4000) / 1600.0, channels, name="run")
-        return [one for one in ab.estimate_force(run, T128).assumed if one.kind == "no readings"]
+        return ab.estimate_force(Recording.from_columns(np.arange(4000) / 1600.0, channels, name="run"), T128)
 
-    (told,) = assumed(slice(0, 1000) if first else slice(3000, 4000))
-    assert told.effect == pytest.approx(200.0, rel=0.01)
-    assert ("from 0 s to 0.625 s" if first else "from 1.875 s to 2.5 s") in told.text
-    assert not assumed(slice(1000, 2000))  # readings follow, which show a step in it
+    with pytest.warns(DataQualityWarning, match="0.625 s is not known" if first else "from 1.875 s to 2.5 s"):
+        found = force(slice(0, 1000) if first else slice(3000, 4000))
+    (told,) = found.doubts
+    assert (told.kind, found.verdict) == ("no readings", Verdict.DOUBTFUL)
+    u = found.only.uncertainty[slice(0, 960) if first else slice(3040, 4000)]
+    assert u == pytest.approx(400.0, rel=0.01)
+    assert found.only.uncertainty[1100 if first else 2900] < 5.0
+    # of the mean a quarter is not known
+    assert mean_loads(found).errors.uncertainty()[0] == pytest.approx(100.0, rel=0.02)
+    assert not force(slice(1000, 2000)).doubts  # readings follow, which show a step in it

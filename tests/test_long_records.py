@@ -348,6 +348,7 @@ def test_a_gap_over_a_joint_is_bridged(rng):
     assert rms(found.uncertainty[gap]) == pytest.approx(rms(whole.uncertainty[gap]), rel=0.1)
 
 
+@pytest.mark.filterwarnings("ignore:.*no readings there, up to an end of the record or of a part:UserWarning")
 def test_a_part_without_readings_has_no_force_and_says_so(rng):
     record = run(rng, count=30_000)
     whole = estimate_force(record, T128).only

@@ -37,6 +37,7 @@ from aerobalance.estimation.spectra.noise_record import noise_spectrum_of
 from aerobalance.estimation.spectra.noise_spectrum import NoiseSpectrum
 from aerobalance.estimation.step_search import RINGS, StepSearch
 from aerobalance.estimation.steps import columns_of
+from aerobalance.estimation.unread_ends import unread_ends
 from aerobalance.motion.platform import SystematicParameter
 from aerobalance.recording.channel import Array
 from aerobalance.recording.components import si_unit
@@ -272,6 +273,9 @@ class Fitted:
         if signal.hidden:
             hidden = np.full(reading.values.size, signal.hidden)
             errors.append(Noise(HIDDEN_HARMONICS, record.dynamics.component, hidden, np.ones(1)))
+        unread, told_of_them = unread_ends(record, fit)
+        errors += unread
+        doubts += told_of_them
         for told, unseen in list(left_open(record, signal, fit, hum=self.hum, errors=errors)):
             errors += unseen
             doubts += told

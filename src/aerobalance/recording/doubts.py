@@ -29,6 +29,7 @@ KINDS: Final[Mapping[str, str]] = {
     "turning": "the ground turns faster than the angles show",
     "wild samples": "single samples are far from their neighbours",
     "stuck channel": "a channel repeats the same reading, for some time or all along",
+    "no readings": "a load is not read up to an end of the record, so that its force is not known there",
     "clipping": "readings rest on a limit",
     "zero": "the bridges moved by more than they drift: while a zero was read, between two, or since the calibration",
     "noise level": "the noise of the readings is not that of the record of noise, or that its channel states",
@@ -110,8 +111,7 @@ class Assumption:
     ----------
     kind
         What it is: ``"load filter"``, ``"gain"``, ``"zero"``, ``"zero drift"``, ``"pitch zero"``, ``"roll zero"``,
-        ``"mass"``, ``"cross-axis"``, ``"natural frequency"``, ``"no readings"``, ``"colored noise"``, ``"hum"`` or
-        ``"interference"``.
+        ``"mass"``, ``"cross-axis"``, ``"natural frequency"``, ``"colored noise"``, ``"hum"`` or ``"interference"``.
     component
         Component whose force is meant.
     text

@@ -23,6 +23,7 @@ from aerobalance.estimation.error_sources import undivided
 from aerobalance.estimation.force_smoother import HIDDEN
 from aerobalance.estimation.result import ComponentForce, ForceSummary
 from aerobalance.estimation.sums import ForceSums, Key, SpectrumSums, segment_length
+from aerobalance.estimation.unread_ends import UNREAD
 from aerobalance.recording.blas_threads import one_blas_thread
 from aerobalance.recording.channel import Array
 from aerobalance.recording.doubts import DOUBTED
@@ -69,6 +70,7 @@ REMEDIES: Final[Mapping[str, str]] = {
     "curvature of the balance matrix, ringing": "a static calibration with more points, under loads combined",
     "force below detection": "a quieter load channel or a longer record: so much could fluctuate unseen in the noise",
     "dynamics that the record leaves open": "dynamics identified anew, or a record in which the balance rings",
+    UNREAD: "readings from the record's beginning to its end",
     "ends of the record": "a record that begins and ends at rest",
 }
 """What makes each contribution smaller."""

@@ -143,7 +143,6 @@ def assumptions_of(
         yield Assumption("zero", name, text, abs(shift), unit)
     least = SETTINGS.matters * float(np.sqrt(np.mean(fit.variance)))
     yield from _of_zero(record.recording, fit, name, least=least)
-    yield from _beyond_readings(record.recording, fit, name, least=least)
     yield from _of_angles(record, unit, least=least)
     if moves_along_axis(record):
         if record.noise is None and fit.learned.color is None:
@@ -191,28 +190,6 @@ def _of_zero(recording: Recording, fit: SmootherResult, name: str, *, least: flo
             "shows it"
         )
         yield _told("zero drift", name, text, steady, unit)
-
-
-def _beyond_readings(recording: Recording, fit: SmootherResult, name: str, *, least: float) -> Iterator[Assumption]:
-    """What is assumed of the load where there are no readings of it up to an end; effects below `least` are not told.
-
-    A gap between readings lets a step in it be seen by what follows; one at an end does not.
-    """
-    present, interval = np.flatnonzero(fit.reading.present), fit.reading.interval
-    ends = [slice(0, int(present[0])), slice(int(present[-1]) + 1, fit.force.size)]
-    slowest = min(mode.natural_frequency for mode in fit.reading.dynamics.modes)
-    long = [end for end in ends if (end.stop - end.start) * interval > 1 / slowest]
-    effect = float(np.sqrt(sum(np.sum(fit.force[end] ** 2) for end in long) / fit.force.size))
-    if effect > least:
-        times = [
-            f"{recording.start + end.start * interval:.6g} s to {recording.start + end.stop * interval:.6g} s"
-            for end in long
-        ]
-        text = (
-            f"{name} has no readings from {' and from '.join(times)} and is taken for going on there as beside it: no "
-            "load at all there would change the force by {}"
-        )
-        yield _told("no readings", name, text, effect, si_unit(name))
 
 
 def _of_angles(record: ComponentRecord, unit: str, *, least: float) -> Iterator[Assumption]:

@@ -101,7 +101,7 @@ def change_by_steps(reading: Observation, steps: Sequence[Step], learned: Spectr
     def shapes_at(other: ModalModel) -> Array:
         return instant_columns(replace(reading, dynamics=other), steps, heights=heights)[0]
 
-    covariance, usual = np.zeros((2, 2)), np.diag([0.0, SETTINGS.usual**-2])
+    covariance, usual = np.asarray(np.zeros((2, 2))), np.diag([0.0, SETTINGS.usual**-2])
     as_known = np.inf
     for _ in range(SETTINGS.iterations):
         other = own.retuned(frequency=float(np.exp(point[0])), damping=float(np.exp(point[1])))
@@ -122,7 +122,7 @@ def change_by_steps(reading: Observation, steps: Sequence[Step], learned: Spectr
         heights = sizes[1 : 1 + count]
         # what the slopes have apart from the shapes: the readings may tell one of them through the other alone
         apart = np.column_stack([one - white[:, 1:-2] @ least_squares(one, white[:, 1:-2])[0] for one in white.T[-2:]])
-        covariance = np.linalg.inv(sums_of_products(apart, apart) + usual)
+        covariance = np.asarray(np.linalg.inv(sums_of_products(apart, apart) + usual))
         change = np.clip(covariance @ (sums_of_products(apart, white[:, 0]) - usual @ point), -most, most)
         point = point + change
         if (np.abs(change) < SETTINGS.settled * np.sqrt(np.diag(covariance))).all():
