@@ -9,7 +9,7 @@ import pytest
 import scipy.stats
 
 from aerobalance.balance.calibration.fit import calibrate
-from aerobalance.balance.calibration_nonlinearity import NonlinearErrors
+from aerobalance.balance.calibration_nonlinearity import NonlinearErrors, _rectified
 from aerobalance.balance.loads import Loads
 from aerobalance.balance.loads_of_outputs import loads_of_outputs
 from aerobalance.balance.matrix import BalanceMatrix
@@ -109,6 +109,18 @@ def test_means_of_errors_of_matrices_drawn(way: str, rng) -> None:
     squares = np.sum((found / foretold) ** 2, axis=0)
     low, high = (scipy.stats.chi2.ppf(p, 24) for p in (1e-6, 1 - 1e-6))
     assert np.all((0.97 * low < squares) & (squares < 1.03 * high)), squares
+
+
+@pytest.mark.parametrize("period", [6, 12])
+def test_a_load_that_goes_with_the_clock_is_seen_at_all_its_phases(period: int, rng) -> None:
+    """Of so many samples a sixth is taken: of every sixth the load would be one phase, or two."""
+    matrix = calibrated(rng, model="27")
+    time = np.arange(44_000)[:, None]
+    loads = (0.2 + 0.5 * np.cos(2 * np.pi * time / period + 0.2)) * matrix.load_scale
+    few = _rectified(loads, matrix)
+    whole = _rectified(loads[: 20 * period], matrix)  # whole periods of them, and no more than are taken
+    # means of 8192 samples, of terms that scatter by as much as they are or less
+    np.testing.assert_allclose(few, whole, atol=5 * float(np.abs(whole).max()) / np.sqrt(8192) * 3)
 
 
 def test_a_linear_matrix_has_no_curvature(rng) -> None:

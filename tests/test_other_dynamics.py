@@ -739,6 +739,16 @@ def test_a_step_that_has_not_begun_to_ring_tells_nothing(instant, rng):
     assert not change.change.any()
 
 
+def test_steps_that_tell_but_one_combination_of_both_changes_are_no_error():
+    """Two that nearly cancel, half a sample apart at the end: the covariance of both changes has no inverse."""
+    reading = Observation(np.random.default_rng(1).normal(0, 2, 1000), 1 / RATE, T128)
+    learned = fit_prior(reading, columns=np.ones((1000, 1)))
+    steps = [Step(998.5 / RATE, 0.0, 500.0), Step(999.0 / RATE, 0.0, -490.0)]
+    change = change_by_steps(reading, steps, learned)
+    assert np.isfinite(change.change).all()
+    assert (np.linalg.eigvalsh(change.covariance) > 0).all()
+
+
 ALIKE = (
     "stiffness +20 %, soft, 2.5 s",
     "mode at 1.5 f0, 10 %, soft, 2.5 s",

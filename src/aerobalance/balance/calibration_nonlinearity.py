@@ -28,6 +28,7 @@ from aerobalance.balance.matrix import BalanceMatrix
 from aerobalance.balance.terms import codes
 from aerobalance.recording.channel import Array
 from aerobalance.recording.fourier import hann
+from aerobalance.recording.spread_samples import spread_samples
 
 SEGMENT: Final = 1 << 13
 """Samples at most that a spectrum is taken from at once."""
@@ -148,7 +149,7 @@ def _variables(native: Array, matrix: BalanceMatrix) -> Array:
 
 def _rectified(native: Array, matrix: BalanceMatrix) -> Array:
     """Return the mean of the terms less the terms at the mean load, shape (t,)."""
-    x = _variables(native[:: max(-(-len(native) // FITTED), 1)], matrix)
+    x = _variables(native[spread_samples(len(native), FITTED)], matrix)
     mean = np.ascontiguousarray(x.mean(axis=0)[None, :])
     terms = codes(matrix.terms)
     found = kernels.design(*terms, np.ascontiguousarray(x)).mean(axis=0) - kernels.design(*terms, mean)[0]
@@ -158,7 +159,7 @@ def _rectified(native: Array, matrix: BalanceMatrix) -> Array:
 def _nonlinear_parts(native: Array, matrix: BalanceMatrix, *, size: int) -> Iterator[Array]:
     """Yield the terms of the matrix less their linear parts, windowed, of segments of the loads, shape (size, t)."""
     x = _variables(native, matrix)
-    some = np.ascontiguousarray(x[:: max(-(-len(x) // FITTED), 1)])
+    some = np.ascontiguousarray(x[spread_samples(len(x), FITTED)])
     shapes = _with_one(some)
     rounding = float(np.finfo(np.float64).eps) * len(shapes)
     slopes = np.linalg.pinv(shapes, rcond=rounding) @ kernels.design(*codes(matrix.terms), some)

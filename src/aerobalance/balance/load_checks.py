@@ -17,6 +17,7 @@ from aerobalance.recording.errors import FitError, OfLoads, warn_quality
 from aerobalance.recording.linalg import table_covariance, whole_rows
 from aerobalance.recording.noise import white_noise
 from aerobalance.recording.recording import Recording
+from aerobalance.recording.spread_samples import spread_samples
 from aerobalance.recording.stuck_samples import stuck_samples
 
 
@@ -418,8 +419,8 @@ def doubts_of_bridges(
         return
     if not known.all():
         outputs, native = outputs[known], native[known]
-    whole, every = outputs, max(len(outputs) // SETTINGS.spread, 1)
-    outputs, native = outputs[::every], native[::every]
+    whole, some = outputs, spread_samples(len(outputs), SETTINGS.spread)
+    outputs, native = outputs[some], native[some]
     scatter = np.sqrt(np.diag(table_covariance(outputs)) * (1 - 1 / len(outputs)))
     moves = np.linalg.inv(sensitivity)
     np.fill_diagonal(moves, 0.0)

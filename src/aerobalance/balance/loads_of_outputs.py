@@ -40,6 +40,7 @@ from aerobalance.recording.linalg import whole_rows
 from aerobalance.recording.noise import channel_noise, noise_correlation
 from aerobalance.recording.recording import Recording
 from aerobalance.recording.resampling import interpolate_gaps_linearly
+from aerobalance.recording.spread_samples import spread_samples
 
 SPREAD: Final = 1 << 12
 """Samples, spread over a record, from which its median load is found."""
@@ -239,4 +240,4 @@ def _apart(native: Array, of_zero: Array, channels: Sequence[Channel], *, slope:
 
 def _median(native: Array) -> Array:
     """Median load, shape (c,); of a long record that of samples spread over it, where the matrix is the same."""
-    return np.asarray(np.median(np.ascontiguousarray(native[:: max(len(native) // SPREAD, 1)].T), axis=1))
+    return np.asarray(np.median(np.ascontiguousarray(native[spread_samples(len(native), SPREAD)].T), axis=1))

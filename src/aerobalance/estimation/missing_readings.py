@@ -136,7 +136,7 @@ def filled_error(dynamics: ModalModel, moved: Array, *, interval: float) -> Nois
     """
     from scipy.ndimage import maximum_filter1d  # noqa: PLC0415 - takes 30 ms, and few records need it
 
-    width = max(int(2 / (dynamics.natural_frequency * interval)), 1)
+    width = int(min(max(2 / (dynamics.natural_frequency * interval), 1.0), moved.size))
     return Noise(MISSING, "load", maximum_filter1d(np.abs(moved), width), np.ones(1))
 
 
