@@ -13,7 +13,7 @@ from aerobalance.estimation.error_sources import Noise
 from aerobalance.estimation.record import ComponentRecord
 from aerobalance.estimation.result import ComponentForce
 from aerobalance.recording.channel import Array
-from aerobalance.recording.errors import FitError
+from aerobalance.recording.errors import FitError, argument
 from aerobalance.recording.noise import white_noise
 
 DIFFERENCE_BANDWIDTH: Final = 0.3183
@@ -28,12 +28,13 @@ BAND_ORDER: Final = 8
 
 def _without_gaps(record: ComponentRecord, what: str) -> Array:
     load, name = record.load, record.dynamics.component
-    missing = int(np.count_nonzero(~np.isfinite(load)))
+    missing = int(np.count_nonzero(~np.isfinite(load)))  # wild and stuck ones too
     limited = int(np.count_nonzero(record.recording.channel(name).at_limit))
     if missing or limited:
         raise FitError(
-            f"{record.recording.name}: {missing} reading(s) of {name} are missing, {limited} rest on a limit of the "
-            f"channel, and {what} cannot bridge them; use the smoother without a bandwidth"
+            f"{record.recording.name}: {missing} reading(s) of {name} are missing or taken for it (wild or stuck), "
+            f"{limited} rest on a limit of the channel, and {what} cannot bridge them; use the smoother without a "
+            f"bandwidth, or {argument('keep_outliers', True)} where none is missing"
         )
     return load
 

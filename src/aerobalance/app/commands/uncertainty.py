@@ -171,7 +171,7 @@ def force_text(result: Result) -> str:
     if len(components) == 1:
         texts += [found["improve_first"] for found in components.values() if found["improve_first"]]
     assumed = dict.fromkeys(text for found in components.values() for text in found["assumptions"])
-    texts += [f"assumed: {text}" for text in (*assumed, *_assumed_texts(result))]
+    texts += [*(f"assumed: {text}" for text in assumed), *_assumed_texts(result)]
     lacking = result["components_without_dynamics"]
     texts += [f"no dynamics for {', '.join(lacking)}"] if lacking else []
     texts += [f"verdict: {result['verdict']}"] if result.get("verdict") else []
@@ -179,16 +179,25 @@ def force_text(result: Result) -> str:
 
 
 def _assumed_texts(result: Result) -> list[str]:
-    """What the record cannot show, once a kind: for the component where it would do most beside its uncertainty."""
-    kinds: dict[str, list[Result]] = {}
+    """What the record cannot show, once a kind: for the component where it would do most beside its uncertainty.
+
+    What would do most is first, and last a line with what would do more than the uncertainty.
+    """
+    kinds: dict[str, list[tuple[float, Result]]] = {}
     for one in result.get("assumed", ()):
-        kinds.setdefault(one["kind"], []).append(one)
-    texts = []
-    for group in kinds.values():
-        u = {one["component"]: result["components"][one["component"]]["uncertainty_rms"] for one in group}
-        most = max(group, key=lambda one: one["effect"] / (u[one["component"]] or 1.0))
-        others = ", ".join(one["component"] for one in group if one is not most)
-        texts.append(f"{most['text']}{f' (alike for {others})' if others else ''}")
+        u = result["components"][one["component"]]["uncertainty_rms"]
+        kinds.setdefault(one["kind"], []).append((one["effect"] / (u or 1.0), one))
+    told, larger = [], []
+    for kind, group in kinds.items():
+        ratio, most = max(group, key=lambda pair: pair[0])
+        others = ", ".join(one["component"] for _, one in group if one is not most)
+        told.append((ratio, f"assumed: {most['text']}{f' (alike for {others})' if others else ''}"))
+        if ratio > 1:
+            larger.append((ratio, f"{kind} of {most['component']}, {ratio:.2g} times"))
+    texts = [text for _, text in sorted(told, key=lambda pair: -pair[0])]
+    if larger:
+        names = "; ".join(text for _, text in sorted(larger, key=lambda pair: -pair[0]))
+        texts.append(f"not in u, and larger than it, is what is assumed of: {names}")
     return texts
 
 
