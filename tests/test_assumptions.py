@@ -287,8 +287,15 @@ def test_several_components_are_told_in_one_line():
         ],
         "components_without_dynamics": [],
     }
-    lines = [line for line in force_text(found).split("\n") if line.startswith("assumed")]
-    assert lines == ["assumed: of AF (alike for NF)"]  # ten times its uncertainty, and twice that of NF
+    found["assumed"].append({"kind": "mass", "component": "NF", "text": "of mass", "effect": 0.9, "unit": "N"})
+    lines = [line for line in force_text(found).split("\n") if line.startswith(("assumed", "not in u"))]
+    assert lines == [
+        "assumed: of AF (alike for NF)",  # ten times its uncertainty, and twice that of NF
+        "assumed: of mass",
+        "not in u, and larger than it, is what is assumed of: gain of AF, 10 times",
+    ]
+    found["assumed"] = found["assumed"][-1:]
+    assert "not in u" not in force_text(found)
 
 
 @pytest.mark.parametrize("first", [True, False])

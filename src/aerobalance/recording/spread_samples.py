@@ -22,7 +22,9 @@ def spread_samples(samples: int, most: int) -> NDArray[np.intp]:
     most
         How many are taken at most.
     """
-    if samples <= most:
-        return np.arange(samples)
-    within = np.random.default_rng(0).random(most)
-    return np.asarray(((np.arange(most) + within) * (samples / most)).astype(np.intp))
+    places = np.arange(min(samples, most))
+    if samples > most:
+        within = np.random.default_rng(0).random(most)
+        places = ((places + within) * (samples / most)).astype(np.intp)
+    places.flags.writeable = False  # all callers have the same one
+    return places

@@ -101,7 +101,8 @@ def change_by_steps(reading: Observation, steps: Sequence[Step], learned: Spectr
     def shapes_at(other: ModalModel) -> Array:
         return instant_columns(replace(reading, dynamics=other), steps, heights=heights)[0]
 
-    covariance, usual = np.asarray(np.zeros((2, 2))), np.diag([0.0, SETTINGS.usual**-2])
+    covariance: Array = np.zeros((2, 2))
+    usual = np.diag([0.0, SETTINGS.usual**-2])
     as_known = np.inf
     for _ in range(SETTINGS.iterations):
         other = own.retuned(frequency=float(np.exp(point[0])), damping=float(np.exp(point[1])))
